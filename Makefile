@@ -1,0 +1,31 @@
+# python3.11 where there is one: it is what constraints.txt was tested with.
+PYTHON := $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+
+.PHONY: demo test test-all lint benchmark clean
+
+# One install serves every target; the stamp is renewed when the requirements change.
+.venv/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[plot,test,dev]'
+	touch $@
+
+demo: .venv/.installed
+	$(BIN)/uwirl
+
+test: .venv/.installed
+	$(BIN)/python -m pytest -m 'not slow'
+
+test-all: .venv/.installed
+	$(BIN)/python -m pytest
+
+lint: .venv/.installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+benchmark: .venv/.installed
+	$(BIN)/python benchmarks/world.py
+
+clean:
+	rm -rf .venv build dist

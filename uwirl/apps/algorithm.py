@@ -1,0 +1,220 @@
+"""Algorithm 1, from readings to a flown mission, and what it leaves in its run folder."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import uwirl
+from uwirl import build
+from uwirl.apps.progress import Progress
+from uwirl.apps.summary import table
+from uwirl.config.schema import Config, IrlConfig
+from uwirl.irl.policy_iteration import InadmissiblePolicyError, InsufficientDataError, IterationRecord
+from uwirl.motion.planner import LearningPlanner, Planner
+from uwirl.motion.policy import Policy
+from uwirl.motion.targets import NoTargetError, mean_channel_targets
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.snr.estimators import UnidentifiableError, oracle
+from uwirl.snr.measurements import take_readings
+from uwirl.study import checkpoint, run_folder
+from uwirl.study.evaluation import Evaluation, cost_of_weights, evaluate
+from uwirl.study.tensorboard import TensorBoard
+from uwirl.world.relay import DivergedError, Relay
+
+log = logging.getLogger("uwirl")
+
+# What a run may end in without being a bug: its message goes into metrics.json.
+FAILURES = (DivergedError, InadmissiblePolicyError, InsufficientDataError, UnidentifiableError, NoTargetError)
+
+
+def run(config: Config, experiment: str, folder: Path) -> dict[str, Any]:
+    """Run one experiment and write its folder.
+
+    Args:
+        config: validated.
+        experiment: its name.
+        folder: existing, where everything is written.
+
+    Returns:
+        What metrics.json holds; `status` is "failed", with `error`, after one of FAILURES.
+    """
+    torch.set_num_threads(config.threads)
+    started = time.perf_counter()
+    metrics: dict[str, Any] = {
+        "status": "failed",
+        "error": None,
+        "experiment": experiment,
+        "config_hash": run_folder.config_hash(config),
+        "seed": config.seed,
+        "uwirl_version": uwirl.__version__,
+    }
+    run_folder.write_config(folder, config)
+    try:
+        metrics |= _algorithm_1(config, folder)
+        metrics["status"] = "complete"
+    except FAILURES as error:
+        metrics["error"] = f"{type(error).__name__}: {error}"
+        log.error("failed: %s", error)
+    finally:
+        metrics["wall_time_s"] = time.perf_counter() - started
+        run_folder.write_metrics(folder, metrics)
+    log.info("%s in %.1f s; everything lies in %s", metrics["status"], metrics["wall_time_s"], folder)
+    return metrics
+
+
+@torch.no_grad()
+def _algorithm_1(config: Config, folder: Path) -> dict[str, Any]:
+    board = TensorBoard(folder / "tb") if config.logging.tensorboard else None
+    env = build.make_relay(config)
+
+    estimate = build.make_estimator(config)(take_readings(env), env.channel)
+    log.info("channel estimate: %s", estimate)
+    if board:
+        board.estimate(estimate)
+
+    planner = build.make_planner(config, config.planner, env)
+    policy, records = _plan(config, planner, env, estimate, board)
+
+    judge = _Judge(config, env)
+    evaluation = judge.fly(policy)
+    rows = {config.planner.name: evaluation}
+    metrics = _estimate_metrics(estimate) | evaluation.metrics()
+    if isinstance(planner, LearningPlanner) and records:
+        start, costs = judge.iterates(planner, records)
+        rows = {"start policy": start, **judge.baseline(estimate), **rows}
+        metrics |= _learning_metrics(config, records, evaluation) | {
+            "cost_total_start_policy": float(start.cost[0]),
+            "cost_per_iteration": costs,
+        }
+        checkpoint.save(folder / "checkpoints" / "last.pt", _checkpoint(config, estimate, records[-1], metrics))
+        if board:
+            board.cost_per_iteration(costs)
+    run_folder.write_trajectory(folder, evaluation)
+    if board:
+        board.evaluation(evaluation)
+        board.close()
+    _figure(config, folder, env, evaluation, records, planner)
+    for line in table(rows):
+        log.info("%s", line)
+    return metrics
+
+
+def _plan(
+    config: Config, planner: Planner, env: Relay, estimate: ChannelEstimate, board: TensorBoard | None
+) -> tuple[Policy, list[IterationRecord]]:
+    """Fit the planner, watching its iterations where it has any."""
+    if not isinstance(planner, LearningPlanner):
+        return planner.fit(env, estimate), []
+    assert isinstance(config.planner, IrlConfig)
+    records = []
+    progress = Progress(config.planner.max_time_s, config.logging.progress)
+    for record in planner.iterate(env, estimate):
+        records.append(record)
+        progress.update(record)
+        if board:
+            board.iteration(record, planner.basis)
+    progress.close()
+    last = records[-1]
+    log.info(
+        "learned in %d policy iterations from %.0f s of flight%s",
+        last.iteration,
+        last.seconds,
+        ", weights settled" if last.converged else "",
+    )
+    return planner.policy, records
+
+
+class _Judge:
+    """Flies policies on the true channel, from the scenario's start."""
+
+    def __init__(self, config: Config, env: Relay):
+        self.config = config
+        self.env = env
+        truth = oracle(take_readings(env), env.channel)
+        self.targets = mean_channel_targets(env.scenario, truth)
+        self.cost = build.make_cost(config.cost, env.channel, self.targets, env.vehicle.tau_max)
+
+    def fly(self, policy: Policy) -> Evaluation:
+        return evaluate(self.env, policy, self.cost, self.targets, self.env.reset())
+
+    def iterates(self, planner: LearningPlanner, records: list[IterationRecord]) -> tuple[Evaluation, list[float]]:
+        """The start policy's mission, and J of every iterate."""
+        learned = planner.policy.actor.weight.clone()
+        planner.policy.actor.weight.copy_(planner.start_weights)
+        start = self.fly(planner.policy)
+        planner.policy.actor.weight.copy_(learned)
+        weights = torch.cat([record.actor[:1] for record in records])
+        starts = self.env.scenario.start[None]
+        costs = cost_of_weights(self.env, planner.policy, weights, self.cost, self.targets, starts)
+        return start, costs[:, 0].tolist()
+
+    def baseline(self, estimate: ChannelEstimate) -> dict[str, Evaluation]:
+        planner = build.make_planner(self.config, self.config.baseline, self.env)
+        return {self.config.baseline.name: self.fly(planner.fit(self.env, estimate))}
+
+
+def _estimate_metrics(estimate: ChannelEstimate) -> dict[str, Any]:
+    metrics: dict[str, Any] = {}
+    for name, parameter in (("K_dB", estimate.K_dB), ("n", estimate.n), ("rho2", estimate.rho2)):
+        metrics[f"estimate_{name}"] = parameter.value
+        metrics[f"estimate_{name}_std"] = parameter.std
+        metrics[f"estimate_{name}_identifiable"] = parameter.identifiable
+    return metrics
+
+
+def _learning_metrics(config: Config, records: list[IterationRecord], evaluation: Evaluation) -> dict[str, Any]:
+    assert isinstance(config.planner, IrlConfig)
+    last = records[-1]
+    inverse = 1.0 / evaluation.chain_capacity[:, 0]
+    window = round(config.planner.window_s / config.scenario.dt_s)
+    settled = float((inverse[-1] - inverse[-1 - window]).abs()) < config.planner.tolerance_inverse_capacity
+    return {
+        "learning_vehicle_seconds": last.seconds,
+        "learning_env_steps": round(last.seconds / config.scenario.dt_s),
+        "policy_iterations": last.iteration,
+        "converged": last.converged and settled,
+    }
+
+
+def _checkpoint(
+    config: Config, estimate: ChannelEstimate, record: IterationRecord, metrics: dict[str, Any]
+) -> dict[str, Any]:
+    return {
+        "uwirl_version": uwirl.__version__,
+        "config": asdict(config),
+        "iteration": record.iteration,
+        "vehicle_seconds": record.seconds,
+        "critic": record.critic,
+        "actor": record.actor,
+        "channel": asdict(estimate.channel),
+        "theta_covariance": estimate.covariance,
+        "metrics": metrics,
+    }
+
+
+def _figure(
+    config: Config,
+    folder: Path,
+    env: Relay,
+    evaluation: Evaluation,
+    records: list[IterationRecord],
+    planner: Planner,
+) -> None:
+    if not config.logging.figures:
+        return
+    if importlib.util.find_spec("matplotlib") is None:
+        log.info("no figure: matplotlib is not installed (pip install 'uwirl[plot]')")
+        return
+    from uwirl.study import figures
+
+    basis = planner.basis if isinstance(planner, LearningPlanner) else None
+    path = folder / "figures" / "mission.png"
+    figures.save(figures.mission_figure(env.scenario, evaluation, records, basis), path)
+    log.info("figure: %s", path)

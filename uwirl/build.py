@@ -1,0 +1,156 @@
+"""The one place where names in a configuration become objects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+
+import torch
+from torch import Tensor
+
+from uwirl.config.schema import (
+    Config,
+    CostConfig,
+    ExperienceConfig,
+    IrlConfig,
+    LeastSquaresSolverConfig,
+    ParallelConfig,
+    PdConfig,
+    PlannerConfig,
+    RlsSolverConfig,
+    VirtualLinksConfig,
+)
+from uwirl.irl.bellman import BellmanOperator
+from uwirl.irl.least_squares import Regularisation
+from uwirl.irl.policy_iteration import StoppingRule
+from uwirl.irl.solvers import BatchLeastSquares, Bounds, ClassicalRls, Solver, ZRecursiveLeastSquares
+from uwirl.motion.baselines.pd import PdPlanner
+from uwirl.motion.cost import RelayCost
+from uwirl.motion.experience import Excitation, Parallel, PoseDraw, VirtualLinks, Window
+from uwirl.motion.features import ErrorBasis, LinkFrameBasis, MotionBasis
+from uwirl.motion.planner import CostFactory, ExperienceSource, IrlPlanner, Planner
+from uwirl.motion.targets import ChainTargets
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.snr.estimators import ESTIMATORS, Estimator
+from uwirl.world.acoustics import Channel
+from uwirl.world.random import RandomStreams
+from uwirl.world.relay import Relay
+from uwirl.world.scenario import Scenario, spread_sensors
+from uwirl.world.vehicle import Vehicle
+
+
+def make_scenario(config: Config) -> Scenario:
+    scenario, dtype, device = config.scenario, getattr(torch, config.dtype), config.device
+
+    def tensor(values: list) -> Tensor:
+        return torch.tensor(values, dtype=dtype, device=device)
+
+    if isinstance(scenario.sensors, int):
+        sensors = spread_sensors(scenario.sensors, config.seed, scenario.source_m, scenario.destination_m, dtype).to(
+            device
+        )
+    else:
+        sensors = tensor(scenario.sensors)
+    return Scenario(
+        source=tensor(scenario.source_m),
+        destination=tensor(scenario.destination_m),
+        start=tensor(scenario.start),
+        sensors=sensors,
+        dt=scenario.dt_s,
+        duration=scenario.duration_s,
+    )
+
+
+def make_relay(config: Config, streams: RandomStreams | None = None) -> Relay:
+    """The environment; one world of the configured seed unless other streams are given."""
+    vehicle = Vehicle(**asdict(config.vehicle), dtype=getattr(torch, config.dtype), device=config.device)
+    streams = streams or RandomStreams.worlds(config.seed, 1, config.device)
+    return Relay(make_scenario(config), vehicle, Channel(**asdict(config.channel)), streams)
+
+
+def make_estimator(config: Config) -> Estimator:
+    return ESTIMATORS[config.estimator.name]
+
+
+def make_cost(config: CostConfig, channel: Channel, targets: ChainTargets, tau_max: Tensor) -> RelayCost:
+    """The running cost on a channel: the estimate to learn from, the truth to be judged by."""
+    return RelayCost(channel, targets.neighbours, config.beta_1, config.yaw_weight, config.R, tau_max)
+
+
+def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
+    """A planner with these settings; it learns one set of weights for each world of `env`."""
+
+    def cost(estimate: ChannelEstimate, targets: ChainTargets) -> RelayCost:
+        return make_cost(config.cost, estimate.channel, targets, env.vehicle.tau_max)
+
+    if isinstance(planner, PdConfig):
+        return PdPlanner(
+            cost, planner.position_gain, planner.velocity_gain, planner.saturation_m, planner.calibration_s
+        )
+    assert isinstance(planner, IrlConfig)
+    return _irl_planner(config, planner, env, cost)
+
+
+def _irl_planner(config: Config, planner: IrlConfig, env: Relay, cost: CostFactory) -> IrlPlanner:
+    dt = config.scenario.dt_s
+
+    def solver(operator: BellmanOperator, weights: Tensor, bounds: Bounds) -> Solver:
+        settings = config.solver
+        if isinstance(settings, RlsSolverConfig):
+            form = "paper" if settings.name == "rls_paper" else "exponential"
+            return ClassicalRls(operator, weights, settings.kappa, settings.p0, form)
+        assert isinstance(settings, LeastSquaresSolverConfig)
+        family = ZRecursiveLeastSquares if settings.name == "z_rls" else BatchLeastSquares
+        regularisation = Regularisation(settings.ridge, settings.prior)
+        return family(operator, regularisation, bounds if settings.bounded else None)
+
+    return IrlPlanner(
+        make_cost=cost,
+        make_basis=lambda running_cost: _basis(config, running_cost),
+        make_solver=solver,
+        experience=_experience(config),
+        learners=1 if isinstance(config.experience, ParallelConfig) else env.worlds,
+        actor_sign=-1.0 if planner.actor_sign == "corrected" else 1.0,
+        inertia_lower=tuple(planner.inertia_lower),
+        start_gain=planner.start_gain,
+        calibration_s=planner.calibration_s,
+        window=Window(round(planner.window_s / dt), round(planner.stride_s / dt)),
+        residual_floor=planner.residual_floor,
+        updates=planner.updates,
+        stopping=StoppingRule(planner.tolerance_weights, planner.max_time_s),
+    )
+
+
+def _basis(config: Config, cost: RelayCost) -> MotionBasis:
+    if config.basis.name == "link_frame":
+        return LinkFrameBasis(cost, config.basis.length_scales_m)
+    return ErrorBasis(velocity=config.basis.name == "error_velocity")
+
+
+def _experience(config: Config) -> ExperienceSource:
+    experience = config.experience
+    excitation = Excitation(
+        tuple(experience.excitation_rms),
+        (experience.excitation_strength[0], experience.excitation_strength[1]),
+        (experience.excitation_band_rad_s[0], experience.excitation_band_rad_s[1]),
+    )
+    pose = _pose_draw(config, experience)
+    if isinstance(experience, ParallelConfig):
+        return Parallel(experience.worlds, experience.leg_s, excitation, pose)
+    assert isinstance(experience, VirtualLinksConfig)
+    return VirtualLinks(experience.leg_s, experience.relabel, experience.relabel_time_s, excitation, pose)
+
+
+def _pose_draw(config: Config, experience: ExperienceConfig) -> PoseDraw:
+    """Virtual links reach 5 % further than half the real one, or than the vehicle's start is from its middle."""
+    source, destination = config.scenario.source_m, config.scenario.destination_m
+    middle = [(a + b) / 2.0 for a, b in zip(source, destination, strict=True)]
+    reach = max(math.dist(source, destination) / 2.0, *(math.dist(eta[:3], middle) for eta in config.scenario.start))
+    return PoseDraw(
+        along_m=1.05 * reach,
+        across_m=1.05 * reach * experience.across_share,
+        up_m=experience.up_m,
+        yaw_rad=experience.yaw_rad,
+        near_share=experience.near_share,
+        near_scale=experience.near_scale,
+    )

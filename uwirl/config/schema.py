@@ -1,0 +1,177 @@
+"""Names, types and units of every setting. Values stand in conf/, rules in `uwirl.config.validate`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import MISSING
+
+
+@dataclass
+class ScenarioConfig:
+    source_m: list[float] = MISSING  # [x, y, z], z up
+    destination_m: list[float] = MISSING
+    start: list[list[float]] = MISSING  # eta of each vehicle, m and rad
+    sensors: Any = MISSING  # a number, spread by the seed, or a list of [x, y, z] in m
+    dt_s: float = MISSING
+    duration_s: float = MISSING
+
+
+@dataclass
+class ChannelConfig:
+    K_dB: float = MISSING
+    n: float = MISSING
+    N0_dB: float = MISSING
+    bandwidth_khz: float = MISSING
+    absorption: str = MISSING  # none | thorp
+    frequency_khz: float | None = MISSING  # null with absorption none
+    rho_dB: float = MISSING
+
+
+@dataclass
+class VehicleConfig:
+    mass_kg: float = MISSING
+    yaw_inertia: float = MISSING  # kg m^2
+    added_mass: list[float] = MISSING  # surge, sway, heave in kg, yaw in kg m^2
+    linear_damping: list[float] = MISSING  # N s/m, yaw N m s/rad
+    quadratic_damping: list[float] = MISSING  # N s^2/m^2, yaw N m s^2/rad^2
+    weight_N: float = MISSING
+    buoyancy_N: float = MISSING
+    tau_max: list[float] = MISSING  # N, N, N, N m
+
+
+@dataclass
+class EstimatorConfig:
+    name: str = MISSING  # least_squares | oracle
+
+
+@dataclass
+class BasisConfig:
+    name: str = MISSING  # link_frame | error_quadratic | error_velocity
+    length_scales_m: list[float] = field(default_factory=list)  # link_frame only; .inf gives the linear feature
+
+
+@dataclass
+class CostConfig:
+    beta_1: float = MISSING  # (kbit/s)^2
+    yaw_weight: float = MISSING
+    R: list[float] = MISSING  # of tau / tau_max
+
+
+@dataclass
+class SolverConfig:
+    name: str = MISSING  # z_rls | batch | bounded_batch | rls_paper | rls_forgetting
+
+
+@dataclass
+class LeastSquaresSolverConfig(SolverConfig):
+    bounded: bool = MISSING
+    ridge: float = MISSING
+    prior: float = MISSING
+
+
+@dataclass
+class RlsSolverConfig(SolverConfig):
+    kappa: float = MISSING
+    p0: float = MISSING
+
+
+@dataclass
+class ExperienceConfig:
+    name: str = MISSING  # virtual_links | parallel
+    leg_s: float = MISSING
+    excitation_rms: list[float] = MISSING  # N, N, N, N m
+    excitation_strength: list[float] = MISSING  # range of a leg's strength
+    excitation_band_rad_s: list[float] = MISSING
+    across_share: float = MISSING  # width across the link, as a share of that along it
+    up_m: float = MISSING
+    yaw_rad: float = MISSING
+    near_share: float = MISSING
+    near_scale: float = MISSING
+
+
+@dataclass
+class VirtualLinksConfig(ExperienceConfig):
+    relabel: int = MISSING
+    relabel_time_s: float = MISSING
+
+
+@dataclass
+class ParallelConfig(ExperienceConfig):
+    worlds: int = MISSING
+
+
+@dataclass
+class PlannerConfig:
+    name: str = MISSING  # irl | pd
+    calibration_s: float = MISSING
+
+
+@dataclass
+class IrlConfig(PlannerConfig):
+    start_gain: float = MISSING
+    inertia_lower: list[float] = MISSING  # kg, kg, kg, kg m^2
+    window_s: float = MISSING
+    stride_s: float = MISSING
+    residual_floor: float = MISSING  # share of the cost of the link without a relay
+    updates: int = MISSING
+    actor_sign: str = MISSING  # corrected | printed
+    tolerance_weights: float = MISSING  # epsilon_3
+    tolerance_inverse_capacity: float = MISSING  # epsilon_4, s/kbit
+    max_time_s: float = MISSING  # T_max,2, vehicle time
+
+
+@dataclass
+class PdConfig(PlannerConfig):
+    position_gain: list[float] = MISSING  # N/m, yaw N m
+    velocity_gain: list[float] = MISSING  # N s/m, yaw N m s/rad
+    saturation_m: float = MISSING
+
+
+@dataclass
+class LoggingConfig:
+    tensorboard: bool = MISSING
+    figures: bool = MISSING
+    progress: bool = MISSING
+
+
+@dataclass
+class Config:
+    scenario: ScenarioConfig = MISSING
+    channel: ChannelConfig = MISSING
+    vehicle: VehicleConfig = MISSING
+    estimator: EstimatorConfig = MISSING
+    basis: BasisConfig = MISSING
+    cost: CostConfig = MISSING
+    solver: SolverConfig = MISSING
+    experience: ExperienceConfig = MISSING
+    planner: PlannerConfig = MISSING
+    baseline: PlannerConfig = MISSING  # flown beside a learned policy
+    logging: LoggingConfig = MISSING
+    seed: int = MISSING
+    threads: int = MISSING
+    device: str = MISSING
+    dtype: str = MISSING  # float64 | float32, of the environment; learning is float64 always
+
+
+def register() -> None:
+    """Make the schemas known to Hydra; YAML files name them in their defaults lists."""
+    store = ConfigStore.instance()
+    store.store(name="schema", node=Config)
+    groups: dict[str, dict[str, type]] = {
+        "scenario": {"schema": ScenarioConfig},
+        "channel": {"schema": ChannelConfig},
+        "vehicle": {"schema": VehicleConfig},
+        "estimator": {"schema": EstimatorConfig},
+        "basis": {"schema": BasisConfig},
+        "cost": {"schema": CostConfig},
+        "solver": {"least_squares_schema": LeastSquaresSolverConfig, "rls_schema": RlsSolverConfig},
+        "experience": {"virtual_links_schema": VirtualLinksConfig, "parallel_schema": ParallelConfig},
+        "planner": {"irl_schema": IrlConfig, "pd_schema": PdConfig},
+        "logging": {"schema": LoggingConfig},
+    }
+    for group, schemas in groups.items():
+        for name, node in schemas.items():
+            store.store(group=group, name=name, node=node)

@@ -1,0 +1,45 @@
+"""Proportional-derivative control towards the target: the baseline that anybody would try first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from uwirl.irl.networks import LinearActor
+from uwirl.motion.experience import calibration_hover
+from uwirl.motion.features import LinkFrameBasis
+from uwirl.motion.planner import CostFactory
+from uwirl.motion.policy import LinkFramePolicy, Policy
+from uwirl.motion.targets import mean_channel_targets
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.world.relay import Relay
+
+
+@dataclass
+class PdPlanner:
+    """tau = tau_trim - K_p sat(e) - K_d nu, with each error component saturating smoothly.
+
+    Attributes:
+        make_cost: the running cost, by which the calibration hover judges the gains.
+        position_gain: surge, sway, heave in N/m, yaw in N m.
+        velocity_gain: surge, sway, heave in N s/m, yaw in N m s/rad.
+        saturation_m: L of e / sqrt(1 + e^2/L^2).
+        calibration_s: duration of the hover that finds the trim, s.
+    """
+
+    make_cost: CostFactory
+    position_gain: Sequence[float]
+    velocity_gain: Sequence[float]
+    saturation_m: float
+    calibration_s: float
+
+    def fit(self, env: Relay, estimate: ChannelEstimate) -> Policy:
+        targets = mean_channel_targets(env.scenario, estimate)
+        cost = self.make_cost(estimate, targets)
+        (pu, pv, pw, pr), (du, dv, dw, dr) = self.position_gain, self.velocity_gain
+        gains = torch.tensor([[pu, pu, du, pv, pv, dv, 0.0, pw, dw, pr, dr, 0.0]]).to(targets.neighbours)
+        actor = LinearActor(LinkFrameBasis(cost, [self.saturation_m]), -gains)
+        _, trim = calibration_hover(env, actor, cost, self.calibration_s)
+        return LinkFramePolicy(targets.frame, actor, trim)

@@ -1,0 +1,71 @@
+"""The running cost of stage 2 (37), zero at rest at the optimum.
+
+    g = beta_1 (1/C^2 - 1/C_max^2) + yaw_weight (1 - cos psi~) + sum_k R_k ((tau_k - tau_trim,k) / tau_max,k)^2
+
+C is the smaller mean capacity of a vehicle's two links with its neighbours at their targets, C_max the one at its own
+target.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from uwirl.world.acoustics import Channel
+
+
+class RelayCost:
+    """Running cost in link-frame coordinates.
+
+    Args:
+        channel: the channel to count on: the estimate when learning, the truth when evaluating.
+        neighbours: positions of a vehicle's two neighbours in its link frame, [..., M, 2, 3], m.
+        beta_1: weight of the link cost, (kbit/s)^2.
+        yaw_weight: without this small term the optimal yaw weights are zero.
+        R: control weights of an effort normalised by the thruster limits, [4].
+        tau_max: [4].
+    """
+
+    def __init__(
+        self,
+        channel: Channel,
+        neighbours: Tensor,
+        beta_1: float,
+        yaw_weight: float,
+        R: Sequence[float],
+        tau_max: Tensor,
+    ):
+        self.channel = channel
+        self.neighbours = neighbours
+        self.beta_1 = beta_1
+        self.yaw_weight = yaw_weight
+        # In newtons, R would make 0.16 m/s optimal and the mission would never end.
+        self.R = torch.tensor(list(R), dtype=tau_max.dtype, device=tau_max.device) / tau_max**2
+        self.minimum = self._inverse_square_capacity(neighbours.new_zeros(*neighbours.shape[:-2], 3))
+
+    def _inverse_square_capacity(self, error: Tensor) -> Tensor:
+        hop = torch.linalg.vector_norm(error[..., None, :] - self.neighbours, dim=-1).amax(-1)
+        return self.beta_1 / self.channel.mean_capacity_kbps(hop).square()
+
+    def link(self, xi: Tensor) -> Tensor:
+        """E_L less its minimum, [..., M], of xi [..., M, 8]."""
+        return self._inverse_square_capacity(xi[..., :3]) - self.minimum
+
+    @property
+    def scale(self) -> Tensor:
+        """E_L less its minimum of a vehicle that sits on a neighbour: what the link costs without a relay, [..., M]."""
+        return self._inverse_square_capacity(self.neighbours[..., 0, :]) - self.minimum
+
+    def yaw(self, xi: Tensor) -> Tensor:
+        """The yaw term, [..., M]."""
+        return self.yaw_weight * (1.0 - torch.cos(xi[..., 3]))
+
+    def state(self, xi: Tensor) -> Tensor:
+        """q, all that does not depend on control, [..., M]."""
+        return self.link(xi) + self.yaw(xi)
+
+    def control(self, effort: Tensor) -> Tensor:
+        """Cost of effort = tau - tau_trim [..., M, 4]."""
+        return (self.R * effort.square()).sum(-1)

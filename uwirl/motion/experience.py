@@ -1,0 +1,264 @@
+"""Where the learner's experience comes from.
+
+A vehicle's problem depends on its pose relative to its link only, so a link may be placed anywhere: a flight towards a
+virtual link teaches as much as the mission itself, and one flown segment can be relabelled into other virtual frames.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from uwirl.irl.bellman import BellmanOperator, Segment
+from uwirl.irl.networks import LinearActor
+from uwirl.irl.policy_iteration import InadmissiblePolicyError
+from uwirl.irl.solvers import Experience
+from uwirl.motion.cost import RelayCost
+from uwirl.motion.features import MotionBasis
+from uwirl.motion.link_frame import LinkFrame, relabel
+from uwirl.motion.policy import LinkFramePolicy
+from uwirl.world.random import RandomStreams, Stream
+from uwirl.world.relay import Relay, Trajectory
+from uwirl.world.vehicle import VehicleState
+
+FREQUENCIES = 6
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """Multisine added to the policy's control while learning.
+
+    Attributes:
+        rms: root mean square on each axis at full strength, N, N, N, N m.
+        strength: range from which each leg's strength is drawn.
+        band_rad_s: range from which the frequencies are drawn, rad/s.
+    """
+
+    rms: tuple[float, ...]
+    strength: tuple[float, float]
+    band_rad_s: tuple[float, float]
+
+    def draw(self, streams: RandomStreams, leg: int, steps: int, dt: float) -> Tensor:
+        """[n, B, 4]."""
+        u = streams.uniform(Stream.EXPLORATION, leg, 1 + 8 * FREQUENCIES)
+        omega, phase = u[:, 1:].view(-1, 2, 4, FREQUENCIES).unbind(1)
+        omega = self.band_rad_s[0] + (self.band_rad_s[1] - self.band_rad_s[0]) * omega
+        strength = self.strength[0] + (self.strength[1] - self.strength[0]) * u[:, :1]
+        time = torch.arange(steps, dtype=u.dtype, device=u.device).view(-1, 1, 1, 1) * dt
+        wave = torch.sin(omega * time + 2.0 * math.pi * phase).sum(-1) / (FREQUENCIES / 2.0) ** 0.5
+        return wave * strength * torch.tensor(self.rms, dtype=u.dtype, device=u.device)
+
+
+@dataclass(frozen=True)
+class PoseDraw:
+    """Distribution of the pose that a leg starts with, relative to its virtual link.
+
+    Attributes:
+        along_m, across_m, up_m: half widths of e_par, e_perp and e_z.
+        yaw_rad: half width of psi~.
+        near_share: share of legs drawn close to the target instead.
+        near_scale: by which their widths along and across shrink (that of e_z by its double).
+    """
+
+    along_m: float
+    across_m: float
+    up_m: float
+    yaw_rad: float
+    near_share: float
+    near_scale: float
+
+    def draw(self, streams: RandomStreams, stream: Stream, step: int) -> Tensor:
+        """(e_par, e_perp, e_z, psi~), [B, 4]."""
+        u = streams.uniform(stream, step, 5)
+        near = u[:, 4:] < self.near_share
+        plane = torch.where(near, self.near_scale, 1.0)
+        up = torch.where(near, 2.0 * self.near_scale, 1.0)
+        shrink = torch.cat([plane, plane, up, torch.ones_like(up)], -1)
+        half = torch.tensor([self.along_m, self.across_m, self.up_m, self.yaw_rad], dtype=u.dtype, device=u.device)
+        return (2.0 * u[:, :4] - 1.0) * half * shrink
+
+
+@dataclass(frozen=True)
+class Window:
+    """Windows of integral reinforcement: T = steps x dt, one every stride x dt."""
+
+    steps: int
+    stride: int
+
+
+class Recorder:
+    """Turns trajectories into segments for the learner.
+
+    Args:
+        basis: features.
+        operator: Bellman operator of that basis.
+        cost: the learner's running cost.
+        trim: tau_trim, [L, 4].
+        window: integration windows.
+        residual_floor: a window's equation is divided by its mean cost plus this share of the cost scale. Otherwise the
+            windows far from the target, where cost is a hundred times larger, decide all weights alone.
+    """
+
+    def __init__(
+        self,
+        basis: MotionBasis,
+        operator: BellmanOperator,
+        cost: RelayCost,
+        trim: Tensor,
+        window: Window,
+        residual_floor: float,
+    ):
+        self.basis = basis
+        self.operator = operator
+        self.cost = cost
+        self.trim = trim
+        self.window = window
+        self.floor = residual_floor * cost.scale.mean()
+
+    def segment(self, xi: Tensor, tau: Tensor, dt: float) -> Segment:
+        """Windows [S, ...] of xi [n + 1, ..., 8] under held tau [n, ..., 4]."""
+        segment = self.operator.segment(
+            self.basis.critic(xi),
+            self.basis.actor(xi),
+            tau - self.trim,
+            self.cost.state(xi),
+            dt,
+            self.window.steps,
+            self.window.stride,
+        )
+        mean_cost = segment.cost / (self.window.steps * dt)
+        return segment.weighted(1.0 / (mean_cost + self.floor))
+
+
+@dataclass(frozen=True)
+class VirtualLinks:
+    """One continuous flight; every leg a new virtual link is drawn, and segments are relabelled into other frames.
+
+    Attributes:
+        leg_s: time between two virtual links, s.
+        relabel: how many further frames each leg is placed in.
+        relabel_time_s: relabelled experience counts exp(-flight time / relabel_time_s) as much as flown.
+        excitation, pose: as named.
+    """
+
+    leg_s: float
+    relabel: int
+    relabel_time_s: float
+    excitation: Excitation
+    pose: PoseDraw
+
+    def fly(self, env: Relay, state: VehicleState, actor: LinearActor, recorder: Recorder) -> Iterator[Experience]:
+        """Stretches of experience, one a leg, flown with whatever the actor's weights are at the time.
+
+        The B M vehicles of the state learn independently, L = B M.
+        """
+        dt = env.scenario.dt
+        steps = round(self.leg_s / dt)
+        leg = 0
+        while True:
+            pose = self.pose.draw(env.streams, Stream.INITIAL_STATE, leg * (1 + self.relabel))
+            trajectory, xi = _fly_leg(env, state, pose, actor, recorder.trim, self.excitation, leg, steps)
+            tau = trajectory.tau.flatten(1, 2)
+            weight = math.exp(-(leg + 1) * self.leg_s / self.relabel_time_s) if self.relabel else 0.0
+            relabelled = None
+            # Below a thousandth the relabelled windows no longer matter and are not made.
+            if weight > 1e-3:
+                copies = [
+                    relabel(xi, self.pose.draw(env.streams, Stream.INITIAL_STATE, leg * (1 + self.relabel) + k))
+                    for k in range(1, 1 + self.relabel)
+                ]
+                segments = [recorder.segment(copy, tau, dt) for copy in copies]
+                relabelled = Segment(*(torch.cat(parts) for parts in zip(*segments, strict=True)))
+            yield Experience(recorder.segment(xi, tau, dt), relabelled, weight, self.leg_s)
+            state = trajectory.last
+            leg += 1
+
+
+@dataclass(frozen=True)
+class Parallel:
+    """Many worlds at once, each with its own virtual link, all teaching one learner.
+
+    Attributes:
+        worlds: number of worlds.
+        leg_s: how long all of them fly between updates, s.
+        excitation, pose: as named.
+    """
+
+    worlds: int
+    leg_s: float
+    excitation: Excitation
+    pose: PoseDraw
+
+    def fly(self, env: Relay, state: VehicleState, actor: LinearActor, recorder: Recorder) -> Iterator[Experience]:
+        """Stretches of experience; the vehicle seconds of all worlds are counted. One learner, L = 1."""
+        dt = env.scenario.dt
+        steps = round(self.leg_s / dt)
+        streams = RandomStreams(
+            env.streams.seed[:1].expand(self.worlds), torch.arange(self.worlds, device=env.streams.seed.device)
+        )
+        env = Relay(env.scenario, env.vehicle, env.channel, streams)
+        state = VehicleState(state.components[:, :1, :1].expand(-1, self.worlds, 1).contiguous())
+        leg = 0
+        while True:
+            pose = self.pose.draw(streams, Stream.INITIAL_STATE, leg)
+            trajectory, xi = _fly_leg(env, state, pose, actor, recorder.trim, self.excitation, leg, steps)
+            windows = recorder.segment(xi, trajectory.tau.flatten(1, 2), dt)
+            pooled = Segment(*(part.flatten(0, 1).unsqueeze(1) for part in windows))
+            yield Experience(pooled, None, 0.0, self.worlds * self.leg_s)
+            state = trajectory.last
+            leg += 1
+
+
+def _fly_leg(
+    env: Relay,
+    state: VehicleState,
+    pose: Tensor,
+    actor: LinearActor,
+    trim: Tensor,
+    excitation: Excitation,
+    leg: int,
+    steps: int,
+) -> tuple[Trajectory, Tensor]:
+    """One excited leg towards the virtual link that puts the vehicle at a pose; also xi [n + 1, L, 8]."""
+    B, M = state.components.shape[1:]
+    dtype = state.components.dtype
+    frame = LinkFrame.seen_as(state, pose.to(dtype).view(B, M, 4))
+    wave = excitation.draw(env.streams, leg, steps, env.scenario.dt).to(dtype).view(steps, B, M, 4)
+    trajectory = env.rollout(LinkFramePolicy(frame, actor, trim, wave), state, steps)
+    return trajectory, frame.relative(trajectory.states).flatten(1, 2)
+
+
+def calibration_hover(env: Relay, actor: LinearActor, cost: RelayCost, seconds: float) -> tuple[VehicleState, Tensor]:
+    """Hold a point 1 m ahead and 1 m abeam with the start policy: what trim does it take, and is the policy admissible?
+
+    Args:
+        env: the worlds.
+        actor: the start policy.
+        cost: the learner's running cost.
+        seconds: duration, s.
+
+    Returns:
+        The state afterwards, and tau_trim [L, 4], the mean control over the last quarter of the hover.
+
+    Raises:
+        InadmissiblePolicyError: the cost grew instead of falling.
+    """
+    state = env.reset()
+    steps = round(seconds / env.scenario.dt)
+    quarter = steps // 4
+    pose = state.components.new_tensor([1.0, 1.0, 0.0, 0.0]).expand(*state.components.shape[1:], 4)
+    frame = LinkFrame.seen_as(state, pose)
+    no_trim = state.components.new_zeros(4)
+    trajectory = env.rollout(LinkFramePolicy(frame, actor, no_trim), state, steps)
+    running = cost.state(frame.relative(trajectory.states)).flatten(1)
+    before, after = float(running[:quarter].mean()), float(running[-quarter:].mean())
+    if not after < before:
+        raise InadmissiblePolicyError(
+            f"planner: the start policy is not admissible: holding a point 1.4 m away, its running cost grew from "
+            f"{before:.3g} to {after:.3g} in {seconds:g} s; start from a damped policy (planner.start_gain > 0)"
+        )
+    return trajectory.last, trajectory.tau[-quarter:].mean(0).flatten(0, 1)

@@ -1,0 +1,69 @@
+"""Where a vehicle is relative to its link: the coordinates in which stage 2 learns.
+
+The dynamics do not change under translation and yaw, so a vehicle's problem depends only on its pose relative to its
+link:
+
+    xi = [e_par, e_perp, e_z, psi~, u, v, w, r]
+
+e = p - p_d along the link's horizontal bearing t, its horizontal normal o, and up; psi~ = psi - psi_d, psi_d the
+bearing.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwirl.world.vehicle import VehicleState
+
+
+class LinkFrame(NamedTuple):
+    """Target and bearing of a link, for each vehicle.
+
+    Attributes:
+        target: p_d, [..., M, 3], m.
+        bearing: psi_d, [..., M], rad.
+    """
+
+    target: Tensor
+    bearing: Tensor
+
+    @classmethod
+    def seen_as(cls, state: VehicleState, pose: Tensor) -> LinkFrame:
+        """The frame in which a vehicle at `state` has the pose (e_par, e_perp, e_z, psi~) [..., M, 4]."""
+        eta = state.eta
+        bearing = eta[..., 3] - pose[..., 3]
+        c, s = torch.cos(bearing), torch.sin(bearing)
+        along, across, up, _ = pose.unbind(-1)
+        error = torch.stack([c * along - s * across, s * along + c * across, up], -1)
+        return cls(eta[..., :3] - error, bearing)
+
+    def relative(self, state: VehicleState) -> Tensor:
+        """xi [..., M, 8] of a state [..., M]."""
+        x, y, z, psi, *nu = state.components
+        dx, dy = x - self.target[..., 0], y - self.target[..., 1]
+        c, s = torch.cos(self.bearing), torch.sin(self.bearing)
+        pose = c * dx + s * dy, c * dy - s * dx, z - self.target[..., 2], psi - self.bearing
+        return torch.stack([*pose, *nu], -1)
+
+
+def relabel(xi: Tensor, pose: Tensor) -> Tensor:
+    """The same motion seen from another frame, in which it starts at another pose.
+
+    Args:
+        xi: [n + 1, ..., 8].
+        pose: (e_par, e_perp, e_z, psi~) of the first sample in the new frame, [..., 4].
+
+    Returns:
+        [n + 1, ..., 8]; velocities are body-fixed and stay.
+    """
+    moved = xi[..., :4] - xi[:1, ..., :4]
+    turn = pose[..., 3] - xi[0, ..., 3]
+    c, s = torch.cos(turn), torch.sin(turn)
+    along = pose[..., 0] + c * moved[..., 0] - s * moved[..., 1]
+    across = pose[..., 1] + s * moved[..., 0] + c * moved[..., 1]
+    return torch.cat(
+        [torch.stack([along, across, pose[..., 2] + moved[..., 2], pose[..., 3] + moved[..., 3]], -1), xi[..., 4:]], -1
+    )

@@ -1,0 +1,117 @@
+"""Planners: from an estimated channel to a policy."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from uwirl.irl.bellman import BellmanOperator
+from uwirl.irl.networks import LinearActor, LinearCritic
+from uwirl.irl.policy_iteration import IterationRecord, StoppingRule, policy_iteration
+from uwirl.irl.solvers import Bounds, Experience, Solver
+from uwirl.motion.cost import RelayCost
+from uwirl.motion.experience import Recorder, Window, calibration_hover
+from uwirl.motion.features import MotionBasis
+from uwirl.motion.policy import LinkFramePolicy, Policy
+from uwirl.motion.targets import ChainTargets, mean_channel_targets
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.world.relay import Relay
+from uwirl.world.vehicle import VehicleState
+
+
+class Planner(Protocol):
+    """Finds a policy; may fly in `env` to learn, but sees the channel through `estimate` only."""
+
+    def fit(self, env: Relay, estimate: ChannelEstimate) -> Policy: ...
+
+
+class LearningPlanner(ABC):
+    """A planner whose fit proceeds in iterations worth watching.
+
+    Attributes:
+        policy: the newest policy.
+        basis: its features.
+        start_weights: what it started from, [L, n3].
+    """
+
+    policy: LinkFramePolicy
+    basis: MotionBasis
+    start_weights: Tensor
+
+    @abstractmethod
+    def iterate(self, env: Relay, estimate: ChannelEstimate) -> Iterator[IterationRecord]:
+        """Learn, one record an iteration."""
+
+    def fit(self, env: Relay, estimate: ChannelEstimate) -> Policy:
+        """Learn to the end."""
+        for _ in self.iterate(env, estimate):
+            pass
+        return self.policy
+
+
+class ExperienceSource(Protocol):
+    """Flies the newest policy and yields what it learned from."""
+
+    def fly(self, env: Relay, state: VehicleState, actor: LinearActor, recorder: Recorder) -> Iterator[Experience]: ...
+
+
+CostFactory = Callable[[ChannelEstimate, ChainTargets], RelayCost]
+
+
+@dataclass
+class IrlPlanner(LearningPlanner):
+    """Model-free integral reinforcement learning (Algorithm 1, second loop).
+
+    Attributes:
+        make_cost: the running cost on an estimated channel.
+        make_basis: features of critic and actor for that cost.
+        make_solver: from the Bellman operator, the start weights [L, n3] and the bounds.
+        experience: where experience comes from.
+        learners: L, independent sets of weights.
+        actor_sign: -1; +1 is the sign printed in the paper.
+        inertia_lower: declared lower bound of each axis' inertia, kg, kg m^2: all the learner is told of the dynamics.
+        start_gain: scales the start policy.
+        calibration_s: duration of the calibration hover, s.
+        window: integration windows.
+        residual_floor: see Recorder.
+        updates: policy iterations per stretch of experience.
+        stopping: epsilon_3 and T_max,2; the hover counts towards the time.
+    """
+
+    make_cost: CostFactory
+    make_basis: Callable[[RelayCost], MotionBasis]
+    make_solver: Callable[[BellmanOperator, Tensor, Bounds], Solver]
+    experience: ExperienceSource
+    learners: int
+    actor_sign: float
+    inertia_lower: tuple[float, ...]
+    start_gain: float
+    calibration_s: float
+    window: Window
+    residual_floor: float
+    updates: int
+    stopping: StoppingRule
+
+    def iterate(self, env: Relay, estimate: ChannelEstimate) -> Iterator[IterationRecord]:
+        """Learn; see `policy_iteration` for what is raised."""
+        targets = mean_channel_targets(env.scenario, estimate)
+        cost = self.make_cost(estimate, targets)
+        self.basis = self.make_basis(cost)
+        start = (self.start_gain * self.basis.start_weights()).repeat(self.learners, 1)
+        actor = LinearActor(self.basis, start.to(targets.neighbours))
+        critic = LinearCritic(self.basis, self.learners).to(actor.weight)
+        self.start_weights = actor.weight.clone()
+        state, trim = calibration_hover(env, actor, cost, self.calibration_s)
+        self.policy = LinkFramePolicy(targets.frame, actor, trim)
+        operator = BellmanOperator(len(self.basis.critic_names), actor.sizes, cost.R, actor_sign=self.actor_sign)
+        solver = self.make_solver(operator, actor.weight, self.basis.bounds(self.inertia_lower, env.scenario.dt))
+        recorder = Recorder(self.basis, operator, cost, trim, self.window, self.residual_floor)
+        flight = self.experience.fly(env, state, actor, recorder)
+        remaining = StoppingRule(self.stopping.tolerance, self.stopping.max_seconds - self.calibration_s)
+        with torch.no_grad():
+            yield from policy_iteration(flight, solver, actor, critic, self.updates, remaining)

@@ -1,0 +1,54 @@
+"""Where each vehicle should be on the estimated channel."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwirl.motion.link_frame import LinkFrame
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.world.scenario import Scenario
+
+
+class NoTargetError(ValueError):
+    """The estimated channel has no best relay position."""
+
+
+class ChainTargets(NamedTuple):
+    """Targets of a chain's vehicles.
+
+    Attributes:
+        frame: LinkFrame of the M vehicles.
+        neighbours: source-side and destination-side neighbour of each target, in that target's frame, [M, 2, 3], m.
+    """
+
+    frame: LinkFrame
+    neighbours: Tensor
+
+
+def mean_channel_targets(scenario: Scenario, estimate: ChannelEstimate) -> ChainTargets:
+    """Targets that maximise the worst link's mean capacity: M + 1 equal hops on the line from source to destination.
+
+    The mean SNR depends on distance alone and falls with it, so shortening the longest hop always helps until all are
+    equal.
+
+    Raises:
+        NoTargetError: the estimated SNR does not fall with distance over a hop, so that no such optimum exists.
+    """
+    M = scenario.vehicles
+    span = scenario.destination - scenario.source
+    hop = torch.linalg.vector_norm(span) / (M + 1)
+    near, far = estimate.channel.mean_snr_dB(torch.stack([0.5 * hop, hop]))
+    if not bool(near > far):
+        raise NoTargetError(
+            f"estimator: the estimated SNR does not fall with distance (n = {float(estimate.channel.n):.3g}), so "
+            "there is no best relay position; use more sensors or more widely spread ones (scenario.sensors)"
+        )
+    fraction = torch.arange(1, M + 1, dtype=span.dtype, device=span.device) / (M + 1)
+    bearing = torch.atan2(span[1], span[0]).expand(M)
+    horizontal = torch.linalg.vector_norm(span[:2])
+    step = torch.stack([horizontal, torch.zeros_like(horizontal), span[2]]) / (M + 1)
+    neighbours = torch.stack([-step, step]).expand(M, 2, 3)
+    return ChainTargets(LinkFrame(scenario.source + fraction[:, None] * span, bearing), neighbours)

@@ -1,0 +1,124 @@
+"""What a policy is worth: fly it on the true channel and measure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from uwirl.irl.networks import LinearActor
+from uwirl.motion.cost import RelayCost
+from uwirl.motion.policy import LinkFramePolicy, Policy
+from uwirl.motion.targets import ChainTargets
+from uwirl.world.relay import Relay, Trajectory
+from uwirl.world.vehicle import VehicleState
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One mission of B worlds.
+
+    Attributes:
+        trajectory: what was flown.
+        link_capacity: mean capacity of each link, [n + 1, B, M + 1], kbit/s.
+        optimal_capacity: of the chain at its targets, kbit/s.
+        cost_terms: J of each world by term (link, vehicle, control), [B] each.
+    """
+
+    trajectory: Trajectory
+    link_capacity: Tensor
+    optimal_capacity: float
+    cost_terms: dict[str, Tensor]
+
+    @property
+    def chain_capacity(self) -> Tensor:
+        """Of the worst link (5), [n + 1, B], kbit/s."""
+        return self.link_capacity.amin(-1)
+
+    @property
+    def cost(self) -> Tensor:
+        """J, [B]."""
+        return torch.stack(list(self.cost_terms.values())).sum(0)
+
+    def time_to_99_percent(self, world: int = 0) -> float | None:
+        """First time after which the chain's mean capacity stays >= 99 % of its optimum, s; None if it never does."""
+        short = (self.chain_capacity[:, world] < 0.99 * self.optimal_capacity).nonzero()
+        first = int(short[-1]) + 1 if len(short) else 0
+        return None if first >= len(self.link_capacity) else first * self.trajectory.dt
+
+    def metrics(self, world: int = 0) -> dict[str, float | list | None]:
+        """The mission's entries of metrics.json."""
+        capacity = self.chain_capacity[:, world]
+        t99 = self.time_to_99_percent(world)
+        arrival = self.trajectory.tau.shape[0] if t99 is None else round(t99 / self.trajectory.dt)
+        eta, nu = self.trajectory.eta[:, world], self.trajectory.nu[:, world]
+        travelled = torch.linalg.vector_norm(eta[: arrival + 1, :, :3].diff(dim=0), dim=-1).sum()
+        mean_nu = (nu[1:] + nu[:-1]) / 2.0
+        power = (self.trajectory.tau[:, world] * mean_nu).sum(-1).abs()
+        return {
+            "capacity_initial_mean_kbps": float(capacity[0]),
+            "capacity_final_mean_kbps": float(capacity[-1]),
+            "capacity_optimal_mean_kbps": self.optimal_capacity,
+            "capacity_gain_percent": 100.0 * (float(capacity[-1] / capacity[0]) - 1.0),
+            "link_capacity_final_kbps": self.link_capacity[-1, world].tolist(),
+            "time_to_99_percent_s": t99,
+            "final_position_m": eta[-1, :, :3].tolist(),
+            "path_length_m": float(travelled),
+            "energy_J": float(power.sum()) * self.trajectory.dt,
+            "cost_total": float(self.cost[world]),
+            **{f"cost_{term}": float(value[world]) for term, value in self.cost_terms.items()},
+        }
+
+
+def evaluate(env: Relay, policy: Policy, cost: RelayCost, targets: ChainTargets, state: VehicleState) -> Evaluation:
+    """Fly a mission.
+
+    Args:
+        env: the world, with the true channel.
+        policy: what to fly.
+        cost: the running cost on the true channel; the vehicle's true trim is what effort is counted from.
+        targets: the true channel's targets, which the cost refers to.
+        state: where to start, [B, M].
+    """
+    trajectory = env.rollout(policy, state, env.scenario.steps)
+    xi = targets.frame.relative(trajectory.states)
+    dt = trajectory.dt
+
+    def trapezoid(q: Tensor) -> Tensor:
+        return torch.trapezoid(q, dx=dt, dim=0).sum(-1)
+
+    effort = trajectory.tau - env.vehicle.trim
+    return Evaluation(
+        trajectory=trajectory,
+        link_capacity=env.link_capacities_kbps(trajectory.states.position),
+        optimal_capacity=float(env.link_capacities_kbps(targets.frame.target).amin()),
+        cost_terms={
+            "link": trapezoid(cost.link(xi)),
+            "vehicle": trapezoid(cost.yaw(xi)),
+            # Held over each step, so the sum is exact.
+            "control": cost.control(effort).sum((0, -1)) * dt,
+        },
+    )
+
+
+def cost_of_weights(
+    env: Relay, policy: LinkFramePolicy, weights: Tensor, cost: RelayCost, targets: ChainTargets, starts: Tensor
+) -> Tensor:
+    """J of K sets of actor weights from Q starts, all flown as one batch.
+
+    Args:
+        env: the world.
+        policy: supplies frame, basis and trim of its first learner.
+        weights: [K, n3].
+        cost, targets: on the true channel.
+        starts: eta, [Q, M, 4].
+
+    Returns:
+        [K, Q].
+    """
+    K, Q, M = weights.shape[0], *starts.shape[:2]
+    state = VehicleState.from_eta_nu(starts.repeat(K, 1, 1))
+    actor = LinearActor(policy.actor.basis, weights.repeat_interleave(Q * M, 0))
+    flown = LinkFramePolicy(policy.frame, actor, policy.trim[:1])
+    return evaluate(env, flown, cost, targets, state).cost.view(K, Q)

@@ -1,0 +1,132 @@
+"""Figures of a run; needs matplotlib (extra `plot`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from uwirl.irl.policy_iteration import IterationRecord
+from uwirl.motion.features import AXES, MotionBasis
+from uwirl.study.evaluation import Evaluation
+from uwirl.world.scenario import Scenario
+
+POSE_LABELS = ("x (m)", "y (m)", "z (m)", "psi (rad)")
+CONTROL_LABELS = ("surge (N)", "sway (N)", "heave (N)", "yaw (N m)")
+
+
+def mission_figure(
+    scenario: Scenario, evaluation: Evaluation, records: Sequence[IterationRecord], basis: MotionBasis | None
+) -> Figure:
+    """Fig. 5's panels: path in 3-D and from above, pose, control, weights over iterations, link capacities.
+
+    Args:
+        scenario: the nodes.
+        evaluation: the mission; its first world is drawn.
+        records: policy iterations, none for a planner that does not learn.
+        basis: names of the weights; None with no records.
+    """
+    trajectory = evaluation.trajectory
+    time = trajectory.time.numpy()
+    eta, tau = trajectory.eta[:, 0].numpy(force=True), trajectory.tau[:, 0].numpy(force=True)
+    figure = plt.figure(figsize=(15.0, 11.5), layout="constrained")
+    panels = figure.add_gridspec(3, 3)
+    _path_3d(figure.add_subplot(panels[0, 0], projection="3d"), scenario, eta)
+    _path_top(figure.add_subplot(panels[0, 1]), scenario, eta)
+    _capacities(figure.add_subplot(panels[0, 2]), time, evaluation)
+    _series(figure.add_subplot(panels[1, 0]), time, eta[:, 0, :3], POSE_LABELS[:3], "(b) position", "m")
+    _series(figure.add_subplot(panels[1, 1]), time, eta[:, 0, 3:], POSE_LABELS[3:], "(b) orientation", "rad")
+    _series(figure.add_subplot(panels[1, 2]), time[:-1], tau[:, 0], CONTROL_LABELS, "(c) control", "N, N m")
+    if records and basis is not None:
+        seconds = np.array([record.seconds for record in records])
+        critic = np.stack([record.critic[0].numpy(force=True) for record in records])
+        actor = np.stack([record.actor[0].numpy(force=True) for record in records])
+        _weights(figure.add_subplot(panels[2, 0]), seconds, critic, basis.critic_names, "(d) critic weights")
+        sizes = [len(names) for names in basis.actor_names]
+        planar, rest = sum(sizes[:2]), sum(sizes)
+        names = [f"{axis}: {name}" for axis, group in zip(AXES, basis.actor_names, strict=True) for name in group]
+        _weights(
+            figure.add_subplot(panels[2, 1]), seconds, actor[:, :planar], names[:planar], "(e) actor, surge and sway"
+        )
+        _weights(
+            figure.add_subplot(panels[2, 2]), seconds, actor[:, planar:rest], names[planar:], "(e) actor, heave and yaw"
+        )
+    return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write and close a figure."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _path_3d(axes: Axes, scenario: Scenario, eta: NDArray) -> None:
+    nodes = np.stack([scenario.source.numpy(force=True), scenario.destination.numpy(force=True)])
+    axes.plot(*nodes.T, "k--", lw=0.8)
+    axes.plot(*nodes[:1].T, "s", color="tab:green", label="source")
+    axes.plot(*nodes[1:].T, "D", color="tab:red", label="destination")
+    for i in range(eta.shape[1]):
+        axes.plot(*eta[:, i, :3].T, color=f"C{i}", label=f"vehicle {i + 1}")
+        axes.plot(*eta[:1, i, :3].T, "o", color=f"C{i}", mfc="none")
+        axes.plot(*eta[-1:, i, :3].T, "o", color=f"C{i}")
+    axes.set(xlabel="x (m)", ylabel="y (m)", title="(a) path")
+    axes.set_zlabel("z (m)")  # type: ignore[attr-defined]
+    axes.legend(fontsize=8)
+
+
+def _path_top(axes: Axes, scenario: Scenario, eta: NDArray) -> None:
+    source, destination = scenario.source.numpy(force=True), scenario.destination.numpy(force=True)
+    axes.plot([source[0], destination[0]], [source[1], destination[1]], "k--", lw=0.8)
+    axes.plot(*source[:2], "s", color="tab:green")
+    axes.plot(*destination[:2], "D", color="tab:red")
+    for i in range(eta.shape[1]):
+        x, y, psi = eta[:, i, 0], eta[:, i, 1], eta[:, i, 3]
+        axes.plot(x, y, color=f"C{i}")
+        some = np.linspace(0, len(x) // 2, 9).astype(int)
+        axes.quiver(x[some], y[some], np.cos(psi[some]), np.sin(psi[some]), color=f"C{i}", width=0.004, scale=18)
+        axes.plot(x[0], y[0], "o", color=f"C{i}", mfc="none")
+        axes.plot(x[-1], y[-1], "o", color=f"C{i}")
+    axes.set(xlabel="x (m)", ylabel="y (m)", title="(a) path from above, heading as arrows", aspect="equal")
+    axes.grid(alpha=0.3)
+
+
+def _capacities(axes: Axes, time: NDArray, evaluation: Evaluation) -> None:
+    links = evaluation.link_capacity[:, 0].numpy(force=True)
+    shown = np.clip(links, None, 3.0 * evaluation.optimal_capacity)
+    for j in range(links.shape[1]):
+        axes.plot(time, shown[:, j], lw=1.0, label=f"link {j} to {j + 1}")
+    axes.plot(time, evaluation.chain_capacity[:, 0].numpy(force=True), "k", lw=1.8, label="chain")
+    axes.axhline(0.99 * evaluation.optimal_capacity, color="gray", ls=":", label="99 % of the optimum")
+    t99 = evaluation.time_to_99_percent()
+    if t99 is not None:
+        axes.axvline(t99, color="gray", lw=0.8)
+    axes.set(xlabel="t (s)", ylabel="mean capacity (kbit/s)", title="(f) link capacity")
+    axes.legend(fontsize=8)
+    axes.grid(alpha=0.3)
+
+
+def _series(axes: Axes, time: NDArray, values: NDArray, labels: Sequence[str], title: str, unit: str) -> None:
+    for j, label in enumerate(labels):
+        axes.plot(time, values[:, j], label=label, lw=1.1)
+    axes.set(xlabel="t (s)", ylabel=unit, title=title)
+    axes.legend(fontsize=8)
+    axes.grid(alpha=0.3)
+
+
+def _weights(axes: Axes, seconds: NDArray, weights: NDArray, names: Sequence[str], title: str) -> None:
+    for j, name in enumerate(names):
+        axes.plot(seconds, weights[:, j], label=name, lw=1.0, color=plt.cm.tab20(j % 20))
+    axes.set_yscale("symlog", linthresh=1e-2 if np.abs(weights).max() < 1.0 else 1.0)
+    axes.set(xlabel="vehicle time (s)", ylabel="weight", title=title)
+    axes.legend(fontsize=5.5, ncols=2, loc="upper right")
+    axes.grid(alpha=0.3)

@@ -1,0 +1,55 @@
+"""What a run leaves behind: config.yaml, metrics.json, trajectory.npz."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from omegaconf import OmegaConf
+
+from uwirl.config.schema import Config
+from uwirl.study.evaluation import Evaluation
+
+
+def config_hash(config: Config) -> str:
+    """Hash of everything that changes the result: not of logging."""
+    relevant = {key: value for key, value in asdict(config).items() if key != "logging"}
+    return hashlib.sha256(json.dumps(relevant, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def write_config(folder: Path, config: Config) -> None:
+    """config.yaml, resolved."""
+    (folder / "config.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(asdict(config))))
+
+
+def write_metrics(folder: Path, metrics: dict[str, Any]) -> None:
+    """metrics.json, one flat object, whole or not at all. Infinite values and NaN become null: JSON has neither."""
+    temporary = folder / "metrics.json.tmp"
+    temporary.write_text(json.dumps(_finite(metrics), indent=2) + "\n")
+    os.replace(temporary, folder / "metrics.json")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def write_trajectory(folder: Path, evaluation: Evaluation) -> None:
+    """trajectory.npz of the mission's first world: time_s, eta, nu [n + 1, M, 4], tau [n, M, 4], link_capacity_kbps."""
+    trajectory = evaluation.trajectory
+    np.savez_compressed(
+        folder / "trajectory.npz",
+        time_s=trajectory.time.numpy(),
+        eta=trajectory.eta[:, 0].numpy(force=True),
+        nu=trajectory.nu[:, 0].numpy(force=True),
+        tau=trajectory.tau[:, 0].numpy(force=True),
+        link_capacity_kbps=evaluation.link_capacity[:, 0].numpy(force=True),
+    )

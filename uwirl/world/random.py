@@ -1,0 +1,109 @@
+"""Counter-based random numbers: every draw is a pure function of (seed, stream, world, step).
+
+World i therefore draws the same numbers whatever the batch size, and a resumed run needs no generator state.
+The generator is Philox4x32-10 (Salmon, Moraes, Dror, Shaw: "Parallel random numbers: as easy as 1, 2, 3", SC'11).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import torch
+from torch import Tensor
+
+_MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
+_WEYL = (0x9E3779B9, 0xBB67AE85)
+_MASK = 0xFFFFFFFF
+
+
+class Stream(IntEnum):
+    """Independent sources of randomness in one world."""
+
+    CHANNEL = 0
+    MEASUREMENT = 1
+    INITIAL_STATE = 2
+    EXPLORATION = 3
+    DISTURBANCE = 4
+    SENSOR_PLACEMENT = 5
+
+
+def philox4x32(counter: Tensor, key: Tensor, rounds: int = 10) -> Tensor:
+    """Philox4x32 block function.
+
+    Args:
+        counter: 32-bit words in int64, [..., 4].
+        key: 32-bit words in int64, [..., 2], broadcast against the counter.
+        rounds: 10 is the published default.
+
+    Returns:
+        Four random 32-bit words in int64, [..., 4].
+    """
+    c0, c1, c2, c3 = counter.unbind(-1)
+    k0, k1 = key.unbind(-1)
+    for _ in range(rounds):
+        # int64 products wrap modulo 2^64, which keeps both 32-bit halves right.
+        p0, p1 = c0 * _MULTIPLIERS[0], c2 * _MULTIPLIERS[1]
+        high0, high1 = (p0 >> 32) & _MASK, (p1 >> 32) & _MASK
+        c0, c1, c2, c3 = high1 ^ c1 ^ k0, p1 & _MASK, high0 ^ c3 ^ k1, p0 & _MASK
+        k0, k1 = (k0 + _WEYL[0]) & _MASK, (k1 + _WEYL[1]) & _MASK
+    return torch.stack(torch.broadcast_tensors(c0, c1, c2, c3), -1)
+
+
+@dataclass(frozen=True)
+class RandomStreams:
+    """The random numbers of B worlds.
+
+    Attributes:
+        seed: int64 [B].
+        world: int64 [B], which world of that seed each row is.
+    """
+
+    seed: Tensor
+    world: Tensor
+
+    @classmethod
+    def worlds(cls, seed: int, count: int, device: torch.device | str = "cpu") -> RandomStreams:
+        """Worlds 0 ... count-1 of one seed."""
+        world = torch.arange(count, device=device)
+        return cls(torch.full_like(world, seed), world)
+
+    @classmethod
+    def replicates(cls, seeds: Sequence[int], device: torch.device | str = "cpu") -> RandomStreams:
+        """World 0 of each of several seeds: what separate runs with those seeds would draw."""
+        seed = torch.tensor(list(seeds), device=device)
+        return cls(seed, torch.zeros_like(seed))
+
+    def uniform(self, stream: Stream, step: int, count: int) -> Tensor:
+        """Float64 draws in [0, 1), [B, count]."""
+        blocks = torch.arange((count + 1) // 2, device=self.seed.device)
+        world = self.world[:, None].expand(-1, len(blocks))
+        counter = torch.stack(
+            [
+                world & _MASK,
+                torch.full_like(world, step & _MASK),
+                torch.full_like(world, int(stream)),
+                blocks.expand_as(world),
+            ],
+            -1,
+        )
+        key = torch.stack([self.seed & _MASK, (self.seed >> 32) & _MASK], -1)[:, None, :]
+        words = philox4x32(counter, key).reshape(len(self.seed), -1, 2)
+        # 53 bits from two words, as the Mersenne Twister's genrand_res53 does.
+        mantissa = (words[..., 0] >> 5) * (1 << 26) + (words[..., 1] >> 6)
+        return (mantissa.to(torch.float64) / (1 << 53))[:, :count]
+
+    def between(self, stream: Stream, step: int, low: float, high: float, count: int) -> Tensor:
+        """Uniform float64 draws in [low, high), [B, count]."""
+        return low + (high - low) * self.uniform(stream, step, count)
+
+    def normal(self, stream: Stream, step: int, count: int) -> Tensor:
+        """Standard normal float64 draws by Box-Muller, [B, count]."""
+        pairs = (count + 1) // 2
+        u = self.uniform(stream, step, 2 * pairs).reshape(len(self.seed), pairs, 2)
+        radius = torch.sqrt(-2.0 * torch.log1p(-u[..., 0]))
+        angle = 2.0 * math.pi * u[..., 1]
+        draws = torch.stack([radius * torch.cos(angle), radius * torch.sin(angle)], -1)
+        return draws.reshape(len(self.seed), -1)[:, :count]

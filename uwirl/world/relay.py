@@ -1,0 +1,128 @@
+"""The relay environment: batched worlds in which vehicles move and links carry data (Fig. 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from uwirl.world.acoustics import Channel
+from uwirl.world.random import RandomStreams
+from uwirl.world.scenario import Scenario
+from uwirl.world.vehicle import Vehicle, VehicleState
+
+
+class DivergedError(RuntimeError):
+    """A simulated quantity stopped being finite."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What a rollout leaves behind.
+
+    Attributes:
+        components: states at the n + 1 step boundaries, [n + 1, 8, B, M].
+        tau: control held over each step, [n, B, M, 4].
+        dt: s.
+    """
+
+    components: Tensor
+    tau: Tensor
+    dt: float
+
+    @property
+    def eta(self) -> Tensor:
+        """[n + 1, B, M, 4], a view."""
+        return self.components[:, :4].movedim(1, -1)
+
+    @property
+    def nu(self) -> Tensor:
+        """[n + 1, B, M, 4], a view."""
+        return self.components[:, 4:].movedim(1, -1)
+
+    @property
+    def states(self) -> VehicleState:
+        """All states as one batch [n + 1, B, M]."""
+        return VehicleState(self.components.movedim(0, 1))
+
+    @property
+    def last(self) -> VehicleState:
+        return VehicleState(self.components[-1])
+
+    @property
+    def time(self) -> Tensor:
+        """[n + 1], s."""
+        return torch.arange(self.components.shape[0], dtype=torch.float64) * self.dt
+
+
+class Relay:
+    """B independent worlds of one scenario.
+
+    Args:
+        scenario: nodes, vehicles, sensors, time.
+        vehicle: dynamics of every vehicle.
+        channel: the true channel, which a learner sees only through readings.
+        streams: the worlds' random numbers; their number is B.
+    """
+
+    def __init__(self, scenario: Scenario, vehicle: Vehicle, channel: Channel, streams: RandomStreams):
+        self.scenario = scenario
+        self.vehicle = vehicle
+        self.channel = channel
+        self.streams = streams
+
+    @property
+    def worlds(self) -> int:
+        return len(self.streams.seed)
+
+    def reset(self) -> VehicleState:
+        """All worlds at the scenario's start, at rest, [8, B, M] underneath."""
+        start = self.scenario.start
+        return VehicleState.from_eta_nu(start.expand(self.worlds, *start.shape))
+
+    def rollout(self, policy: Callable[[VehicleState, int], Tensor], state: VehicleState, steps: int) -> Trajectory:
+        """Fly a policy from a state.
+
+        Args:
+            policy: (state, step index) -> tau [B, M, 4]; it is saturated here and held for one step.
+            state: where to start; its batch may differ from the scenario's.
+            steps: number of integration steps.
+
+        Raises:
+            DivergedError: a state or control stopped being finite; the message names the step and the quantity.
+        """
+        x = state.components
+        components = x.new_empty(steps + 1, *x.shape)
+        tau = x.new_empty(steps, 4, *x.shape[1:])
+        components[0] = x
+        for step in range(steps):
+            command = self.vehicle.saturate(policy(state, step))
+            state = self.vehicle.step(state, command, self.scenario.dt)
+            tau[step] = command.movedim(-1, 0)
+            components[step + 1] = state.components
+        trajectory = Trajectory(components, tau.movedim(1, -1), self.scenario.dt)
+        self._check_finite(trajectory)
+        return trajectory
+
+    @staticmethod
+    def _check_finite(trajectory: Trajectory) -> None:
+        for name in ("tau", "nu", "eta"):
+            finite = torch.isfinite(getattr(trajectory, name)).flatten(1).all(1)
+            if not bool(finite.all()):
+                step = int((~finite).nonzero()[0])
+                raise DivergedError(
+                    f"{name} is not finite at step {step} (t = {step * trajectory.dt:g} s of the flight)"
+                )
+
+    def chain(self, position: Tensor) -> Tensor:
+        """Nodes of the communication chain in order, source first, [..., M + 2, 3], of vehicles at [..., M, 3]."""
+        shape = (*position.shape[:-2], 1, 3)
+        ends = self.scenario.source.expand(shape), self.scenario.destination.expand(shape)
+        return torch.cat([ends[0], position, ends[1]], -2)
+
+    def link_capacities_kbps(self, position: Tensor) -> Tensor:
+        """Mean capacity of each link, [..., M + 1], of vehicles at [..., M, 3]; the chain's is their minimum (5)."""
+        hop = torch.linalg.vector_norm(self.chain(position).diff(dim=-2), dim=-1)
+        return self.channel.mean_capacity_kbps(hop)

@@ -1,0 +1,59 @@
+"""Who is where: nodes, vehicles and sensors of one relay problem."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from uwirl.world.random import RandomStreams, Stream
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One relay problem; every world of a batch shares it.
+
+    Attributes:
+        source: [3], m.
+        destination: [3], m.
+        start: eta of each vehicle in chain order from the source, [M, 4].
+        sensors: [N, 3], m.
+        dt: integration step, s.
+        duration: length of a mission, s.
+    """
+
+    source: Tensor
+    destination: Tensor
+    start: Tensor
+    sensors: Tensor
+    dt: float
+    duration: float
+
+    @property
+    def vehicles(self) -> int:
+        return self.start.shape[0]
+
+    @property
+    def steps(self) -> int:
+        """Integration steps in a mission."""
+        return round(self.duration / self.dt)
+
+
+def spread_sensors(
+    count: int, seed: int, source: Sequence[float], destination: Sequence[float], dtype: torch.dtype
+) -> Tensor:
+    """Sensors spread uniformly, by the seed, over the box of source and destination.
+
+    The box is widened by a quarter of their distance, and by 4 m up and down.
+
+    Returns:
+        [count, 3], m.
+    """
+    ends = torch.tensor([list(source), list(destination)], dtype=torch.float64)
+    widening = torch.full((3,), float(0.25 * torch.linalg.vector_norm(ends[0] - ends[1])), dtype=torch.float64)
+    widening[2] = 4.0
+    low, high = ends.amin(0) - widening, ends.amax(0) + widening
+    draws = RandomStreams.worlds(seed, 1).uniform(Stream.SENSOR_PLACEMENT, 0, 3 * count)
+    return (low + (high - low) * draws.view(count, 3)).to(dtype)

@@ -1,0 +1,202 @@
+"""4-DOF underwater vehicle after Fossen (eqs 1-4): surge, sway, heave, yaw.
+
+eta = [x, y, z, psi] in the inertial frame (m, rad), z up; nu = [u, v, w, r] in the body frame (m/s, rad/s);
+tau = forces and yaw moment (N, N m).
+
+    eta_dot = J(psi) nu
+    M nu_dot + C(nu) nu + D(nu) nu + g = tau
+
+Underneath, a state is one contiguous tensor [8, ...], components first: each component is then a dense vector over
+all worlds, which eager PyTorch integrates about three times faster than [..., 8] at 100,000 worlds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+# Vehicles integrated together when eager: large enough to hide the cost of a kernel call, small enough for the cache.
+CHUNK = 32_768
+
+
+@dataclass(frozen=True)
+class VehicleState:
+    """Pose and velocity of a batch of vehicles.
+
+    Attributes:
+        components: [8, B, M], rows x, y, z, psi, u, v, w, r.
+    """
+
+    components: Tensor
+
+    @classmethod
+    def from_eta_nu(cls, eta: Tensor, nu: Tensor | None = None) -> VehicleState:
+        """From eta and nu, both [..., 4]; nu defaults to rest."""
+        nu = torch.zeros_like(eta) if nu is None else nu
+        return cls(torch.cat([eta, nu], -1).movedim(-1, 0).contiguous())
+
+    @property
+    def eta(self) -> Tensor:
+        """[..., 4], a view."""
+        return self.components[:4].movedim(0, -1)
+
+    @property
+    def nu(self) -> Tensor:
+        """[..., 4], a view."""
+        return self.components[4:].movedim(0, -1)
+
+    @property
+    def position(self) -> Tensor:
+        """[..., 3], a view, m."""
+        return self.components[:3].movedim(0, -1)
+
+
+def wrap_angle(angle: Tensor) -> Tensor:
+    """Angle in rad, wrapped to (-pi, pi]."""
+    return torch.atan2(torch.sin(angle), torch.cos(angle))
+
+
+class Vehicle(nn.Module):
+    """The model of (1): M, C, D, g, J as tensors, and its Runge-Kutta integration.
+
+    Args:
+        mass_kg: rigid-body mass.
+        yaw_inertia: Iz, kg m^2.
+        added_mass: surge, sway, heave (kg), yaw (kg m^2), as positive numbers.
+        linear_damping: surge, sway, heave (N s/m), yaw (N m s/rad).
+        quadratic_damping: surge, sway, heave (N s^2/m^2), yaw (N m s^2/rad^2).
+        weight_N: W.
+        buoyancy_N: B.
+        tau_max: thruster limits, N, N, N, N m.
+    """
+
+    def __init__(
+        self,
+        mass_kg: float,
+        yaw_inertia: float,
+        added_mass: Sequence[float],
+        linear_damping: Sequence[float],
+        quadratic_damping: Sequence[float],
+        weight_N: float,
+        buoyancy_N: float,
+        tau_max: Sequence[float],
+        dtype: torch.dtype = torch.float64,
+        device: torch.device | str = "cpu",
+    ):
+        super().__init__()
+        rigid = [mass_kg, mass_kg, mass_kg, yaw_inertia]
+
+        def constant(values: Sequence[float]) -> Tensor:
+            return torch.tensor(list(values), dtype=dtype, device=device)
+
+        self.inertia: Tensor
+        self.linear_damping: Tensor
+        self.quadratic_damping: Tensor
+        self.restoring: Tensor
+        self.tau_max: Tensor
+        self.register_buffer("inertia", constant([r + a for r, a in zip(rigid, added_mass, strict=True)]))
+        self.register_buffer("linear_damping", constant(linear_damping))
+        self.register_buffer("quadratic_damping", constant(quadratic_damping))
+        # z points up, so g_w = W - B acts on heave: a buoyant vehicle is pushed towards +z.
+        self.register_buffer("restoring", constant([0.0, 0.0, weight_N - buoyancy_N, 0.0]))
+        self.register_buffer("tau_max", constant(tau_max))
+
+    @property
+    def trim(self) -> Tensor:
+        """The tau that holds the vehicle at rest, [4]."""
+        return self.restoring
+
+    def saturate(self, tau: Tensor) -> Tensor:
+        """tau [..., 4] within the thruster limits."""
+        return torch.maximum(torch.minimum(tau, self.tau_max), -self.tau_max)
+
+    def inertia_matrix(self) -> Tensor:
+        """M, [4, 4]."""
+        return torch.diag(self.inertia)
+
+    def coriolis_matrix(self, nu: Tensor) -> Tensor:
+        """C(nu) [..., 4, 4], skew-symmetric, of nu [..., 4]."""
+        C = nu.new_zeros(*nu.shape, 4)
+        C[..., 0, 3] = -self.inertia[1] * nu[..., 1]
+        C[..., 1, 3] = self.inertia[0] * nu[..., 0]
+        return C - C.mT
+
+    def damping_matrix(self, nu: Tensor) -> Tensor:
+        """D(nu) [..., 4, 4], diagonal, of nu [..., 4]."""
+        return torch.diag_embed(self.linear_damping + self.quadratic_damping * nu.abs())
+
+    @staticmethod
+    def rotation_matrix(psi: Tensor) -> Tensor:
+        """J(psi) [..., 4, 4] of a yaw angle [...]."""
+        c, s, zero, one = torch.cos(psi), torch.sin(psi), torch.zeros_like(psi), torch.ones_like(psi)
+        rows = [[c, -s, zero, zero], [s, c, zero, zero], [zero, zero, one, zero], [zero, zero, zero, one]]
+        return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+    def derivative(self, x: Sequence[Tensor], force: Sequence[Tensor]) -> list[Tensor]:
+        """Right-hand side of (1), component by component.
+
+        Working on single components rather than on [8, ...] lets a compiler fuse a whole step into one pass over
+        memory (7 times the speed of eager at 10,000 worlds, against 1.1 times) at no cost to eager execution.
+
+        Args:
+            x: x, y, z, psi, u, v, w, r, each [...].
+            force: tau - g for surge, sway, heave and yaw, each [...].
+
+        Returns:
+            The eight time derivatives, each [...].
+        """
+        psi, nu = x[3], x[4:]
+        u, v, w, r = nu
+        m_u, m_v = self.inertia[0], self.inertia[1]
+        c, s = torch.cos(psi), torch.sin(psi)
+        drive = [
+            torch.addcmul(f, velocity.abs() * quadratic + linear, velocity, value=-1.0)
+            for f, linear, quadratic, velocity in zip(
+                force, self.linear_damping, self.quadratic_damping, nu, strict=True
+            )
+        ]
+        # C(nu) nu = [-m_v v r, m_u u r, 0, (m_v - m_u) u v]
+        drive[0] = torch.addcmul(drive[0], v, r * m_v)
+        drive[1] = torch.addcmul(drive[1], u, r * m_u, value=-1.0)
+        drive[3] = torch.addcmul(drive[3], u, v * (m_u - m_v))
+        velocity_dot = [d / m for d, m in zip(drive, self.inertia, strict=True)]
+        return [torch.addcmul(c * u, s, v, value=-1.0), torch.addcmul(s * u, c, v), w, r, *velocity_dot]
+
+    def rk4(self, x: Tensor, tau: Tensor, dt: float) -> Tensor:
+        """One classical Runge-Kutta step with tau held.
+
+        Args:
+            x: [8, ...].
+            tau: [4, ...].
+            dt: s.
+
+        Returns:
+            x after dt, [8, ...].
+        """
+
+        def advance(slope: list[Tensor], h: float) -> list[Tensor]:
+            return [torch.add(a, b, alpha=h) for a, b in zip(start, slope, strict=True)]
+
+        start = x.unbind(0)
+        force = [t - g for t, g in zip(tau.unbind(0), self.restoring, strict=True)]
+        k1 = self.derivative(start, force)
+        k2 = self.derivative(advance(k1, dt / 2), force)
+        k3 = self.derivative(advance(k2, dt / 2), force)
+        k4 = self.derivative(advance(k3, dt), force)
+        slope = [torch.add(a + d, b + c, alpha=2.0) for a, b, c, d in zip(k1, k2, k3, k4, strict=True)]
+        return torch.stack(advance(slope, dt / 6))
+
+    def step(self, state: VehicleState, tau: Tensor, dt: float) -> VehicleState:
+        """The state after dt seconds of held tau [B, M, 4], which is not saturated here."""
+        x, tau = state.components, tau.movedim(-1, 0)
+        if x[0].numel() <= CHUNK:
+            return VehicleState(self.rk4(x, tau, dt))
+        out = torch.empty_like(x)
+        chunks = -(-x[0].numel() // CHUNK)
+        parts = (t.flatten(1).tensor_split(chunks, 1) for t in (x, tau, out))
+        for part_x, part_tau, part_out in zip(*parts, strict=True):
+            part_out.copy_(self.rk4(part_x, part_tau, dt))
+        return VehicleState(out)
