@@ -142,14 +142,17 @@ def _experience(config: Config) -> ExperienceSource:
 
 
 def _pose_draw(config: Config, experience: ExperienceConfig) -> PoseDraw:
-    """Virtual links reach 5 % further than half the real one, or than the vehicle's start is from its middle."""
+    """Virtual links reach 5 % further than half the real one, and than the mission's start in each direction."""
     source, destination = config.scenario.source_m, config.scenario.destination_m
-    middle = [(a + b) / 2.0 for a, b in zip(source, destination, strict=True)]
-    reach = max(math.dist(source, destination) / 2.0, *(math.dist(eta[:3], middle) for eta in config.scenario.start))
+    half = [(b - a) / 2.0 for a, b in zip(source, destination, strict=True)]
+    bearing = math.atan2(half[1], half[0])
+    c, s = math.cos(bearing), math.sin(bearing)
+    errors = [[p - a - h for p, a, h in zip(eta[:3], source, half, strict=True)] for eta in config.scenario.start]
+    along = 1.05 * max(math.hypot(*half), *(abs(c * x + s * y) for x, y, _ in errors))
     return PoseDraw(
-        along_m=1.05 * reach,
-        across_m=1.05 * reach * experience.across_share,
-        up_m=experience.up_m,
+        along_m=along,
+        across_m=max(experience.across_share * along, *(1.05 * abs(c * y - s * x) for x, y, _ in errors)),
+        up_m=max(experience.up_m, *(1.05 * abs(z) for _, _, z in errors)),
         yaw_rad=experience.yaw_rad,
         near_share=experience.near_share,
         near_scale=experience.near_scale,

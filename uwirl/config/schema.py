@@ -13,7 +13,8 @@ from omegaconf import MISSING
 class ScenarioConfig:
     source_m: list[float] = MISSING  # [x, y, z], z up
     destination_m: list[float] = MISSING
-    start: list[list[float]] = MISSING  # eta of each vehicle, m and rad
+    # eta of each vehicle, m and rad; not list[list[float]], which would refuse [0, 0, -5, 1]
+    start: list[Any] = MISSING
     sensors: Any = MISSING  # a number, spread by the seed, or a list of [x, y, z] in m
     dt_s: float = MISSING
     duration_s: float = MISSING

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from uwirl.config.schema import (
     ChannelConfig,
@@ -54,9 +55,10 @@ def _each(values: Sequence[float], key: str, length: int, zero: bool = False) ->
             raise ConfigError(key, f"{axis} must be {'at least 0' if zero else 'greater than 0'}, got {value:g}")
 
 
-def _finite(values: Sequence[float], key: str, length: int) -> None:
-    if len(values) != length or not all(math.isfinite(v) for v in values):
-        raise ConfigError(key, f"needs {length} finite numbers, got {list(values)}")
+def _finite(values: Any, key: str, length: int) -> None:
+    numbers = isinstance(values, list) and all(isinstance(v, (int, float)) and math.isfinite(v) for v in values)
+    if not numbers or len(values) != length:
+        raise ConfigError(key, f"needs {length} finite numbers, got {values}")
 
 
 def _one_of(value: str, key: str, choices: Iterable[str]) -> None:
@@ -104,7 +106,7 @@ def _sensors(scenario: ScenarioConfig) -> None:
         if sensors < 3:
             raise ConfigError(key, f"{sensors} sensors cannot determine K, n and the fading: at least 3 are needed")
         return
-    if not isinstance(sensors, list) or not all(isinstance(sensor, list) for sensor in sensors):
+    if not isinstance(sensors, list):
         raise ConfigError(key, f"must be a number or a list of positions [x, y, z], got {sensors!r}")
     if len(sensors) < 3:
         raise ConfigError(key, f"{len(sensors)} sensors cannot determine K, n and the fading: at least 3 are needed")

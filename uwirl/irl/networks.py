@@ -10,15 +10,17 @@ from torch import Tensor, nn
 
 
 class Basis(Protocol):
-    """Features of critic and actor.
+    """Features of critic and actor."""
 
-    Attributes:
-        critic_names: name of each of the n2 critic features.
-        actor_names: for each control axis, the names of its features; n3 is their number over all axes.
-    """
+    @property
+    def critic_names(self) -> Sequence[str]:
+        """Name of each of the n2 critic features."""
+        ...
 
-    critic_names: Sequence[str]
-    actor_names: Sequence[Sequence[str]]
+    @property
+    def actor_names(self) -> Sequence[Sequence[str]]:
+        """For each control axis, the names of its features; n3 is their number over all axes."""
+        ...
 
     def critic(self, x: Tensor) -> Tensor:
         """phi2(x), [..., n2]."""

@@ -62,6 +62,7 @@ def policy_iteration(
     critic: LinearCritic,
     updates: int,
     stopping: StoppingRule,
+    seconds: float = 0.0,
 ) -> Iterator[IterationRecord]:
     """Learn from experience until the weights settle or the time is up.
 
@@ -73,6 +74,7 @@ def policy_iteration(
         actor, critic: hold the weights.
         updates: policy iterations for each stretch.
         stopping: when to stop.
+        seconds: vehicle time used before, s.
 
     Yields:
         One record an iteration.
@@ -81,7 +83,7 @@ def policy_iteration(
         InsufficientDataError: the time was up, or experience ended, with fewer rows than unknowns.
     """
     unknowns = actor.weight.shape[-1] + critic.weight.shape[-1]
-    seconds, iteration, rows = 0.0, 0, 0
+    iteration, rows = 0, 0
     for stretch in experience:
         solver.add(stretch)
         seconds += stretch.seconds

@@ -112,6 +112,7 @@ class IrlPlanner(LearningPlanner):
         solver = self.make_solver(operator, actor.weight, self.basis.bounds(self.inertia_lower, env.scenario.dt))
         recorder = Recorder(self.basis, operator, cost, trim, self.window, self.residual_floor)
         flight = self.experience.fly(env, state, actor, recorder)
-        remaining = StoppingRule(self.stopping.tolerance, self.stopping.max_seconds - self.calibration_s)
         with torch.no_grad():
-            yield from policy_iteration(flight, solver, actor, critic, self.updates, remaining)
+            yield from policy_iteration(
+                flight, solver, actor, critic, self.updates, self.stopping, seconds=self.calibration_s
+            )

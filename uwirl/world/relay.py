@@ -99,9 +99,8 @@ class Relay:
         components[0] = x
         for step in range(steps):
             command = self.vehicle.saturate(policy(state, step))
-            state = self.vehicle.step(state, command, self.scenario.dt)
+            state = self.vehicle.step(state, command, self.scenario.dt, out=components[step + 1])
             tau[step] = command.movedim(-1, 0)
-            components[step + 1] = state.components
         trajectory = Trajectory(components, tau.movedim(1, -1), self.scenario.dt)
         self._check_finite(trajectory)
         return trajectory

@@ -1,0 +1,104 @@
+"""Composition: every shipped file composes and validates, what beats what, unknown keys, and no torch."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+from hydra.errors import HydraException
+from omegaconf.errors import OmegaConfBaseException
+
+from uwirl.config.compose import compose, folder
+from uwirl.config.validate import validate
+
+GROUPS = [
+    "experiment",
+    "ablation",
+    "scenario",
+    "channel",
+    "vehicle",
+    "estimator",
+    "basis",
+    "cost",
+    "solver",
+    "planner",
+    "experience",
+    "logging",
+]
+FILES = [(group, path.stem) for group in GROUPS for path in sorted((folder() / group).glob("*.yaml"))]
+NAMED = ["estimator", "basis", "solver", "planner", "experience"]
+
+
+@pytest.mark.parametrize(("group", "name"), FILES, ids=["/".join(file) for file in FILES])
+def test_every_file_composes_and_validates(make_config, group: str, name: str):
+    config = make_config(f"{group}={name}")
+    validate(config)
+    if group in NAMED:
+        assert getattr(config, group).name == name
+
+
+def test_every_group_is_covered():
+    groups = {path.name for path in folder().iterdir() if path.is_dir()}
+    assert groups - {"hydra"} == set(GROUPS)
+
+
+def test_every_group_has_files():
+    assert {group for group, _ in FILES} == set(GROUPS)
+
+
+def test_parallel_raises_the_time_limit(make_config):
+    assert make_config().planner.max_time_s < 7200.0
+    assert make_config("experience=parallel").planner.max_time_s == 7200.0
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [["experience=parallel", "planner.max_time_s=900"], ["planner.max_time_s=900", "experience=parallel"]],
+)
+def test_command_line_beats_parallels_limit(overrides: list[str]):
+    assert compose(overrides).planner.max_time_s == 900.0
+
+
+def test_command_line_beats_the_experiments_choice(make_config):
+    chosen, overridden = make_config(), make_config("channel=acoustic_24khz", "experiment=fig5_free")
+    assert chosen.channel.absorption == "none"
+    assert overridden.channel.absorption == "thorp"
+    assert overridden.channel.frequency_khz == 24.0
+    # Nothing else moves.
+    overridden.channel = chosen.channel
+    assert overridden == chosen
+
+
+@pytest.mark.parametrize(
+    ("override", "named"),
+    [
+        ("scenario.duration=80", "scenario.duration"),
+        ("speed=3", "speed"),
+        ("planner=dp", "planner/dp"),
+        ("vessel=bluerov2", "vessel"),
+        ("planner.position_gain=[1,1,1,1]", "planner.position_gain"),  # the baseline's, not the learner's
+        ("scenario.dt_s=soon", "scenario.dt_s"),
+        ("scenario.start=5", "scenario.start"),
+    ],
+)
+def test_unknown_keys_and_wrong_types_are_refused(override: str, named: str):
+    with pytest.raises((HydraException, OmegaConfBaseException)) as caught:
+        compose([override])
+    assert named in str(caught.value)
+
+
+def test_configuration_imports_no_torch():
+    # In a fresh interpreter: this one has long imported torch.
+    program = (
+        "import json, sys\n"
+        "from uwirl.config.compose import compose\n"
+        "from uwirl.config.validate import validate\n"
+        "validate(compose())\n"
+        "print(json.dumps([name for name in ('torch', 'numpy', 'hydra') if name in sys.modules]))\n"
+    )
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    loaded = json.loads(result.stdout)
+    assert "hydra" in loaded
+    assert "torch" not in loaded

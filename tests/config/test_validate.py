@@ -1,0 +1,200 @@
+"""Every rule of `uwirl.config.validate`: what breaks it, the key it names and what it says; and what just passes."""
+
+from __future__ import annotations
+
+import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf
+
+from uwirl.config.schema import Config
+from uwirl.config.validate import RK4_STABILITY, ConfigError, validate
+
+PAIR = "scenario.start=[[0,0,-5,0],[5,5,-5,0]]"
+HOVER_AND_LEG = "planner.calibration_s=15 experience.leg_s=5 planner.max_time_s"
+PARALLEL = "experience=parallel"
+SENSORS = "scenario.sensors=[[0,0,-8],[5,0,-8],{}]"
+
+RULES = [
+    # scenario
+    ("scenario.source_m=[0,0]", "scenario.source_m", "needs 3 finite numbers, got [0.0, 0.0]"),
+    ("scenario.source_m=[0,0,nan]", "scenario.source_m", "needs 3 finite numbers"),
+    ("scenario.destination_m=[0,0,-8,1]", "scenario.destination_m", "needs 3 finite numbers"),
+    ("scenario.destination_m=[-30,-30,-8]", "scenario.destination_m", "coincides with scenario.source_m"),
+    ("scenario.start=[]", "scenario.start", "needs at least one vehicle [x, y, z, psi]"),
+    ("scenario.start=[1,2,-3,0]", "scenario.start[0]", "needs 4 finite numbers, got 1"),
+    ("scenario.start=[[1,2,-3]]", "scenario.start[0]", "needs 4 finite numbers"),
+    ("scenario.start=[[0,0,-5,0],[1,2,inf,0]]", "scenario.start[1]", "needs 4 finite numbers"),
+    ("scenario.start=[[1,2,-3,east]]", "scenario.start[0]", "needs 4 finite numbers"),
+    ("scenario.start=[[-30,-30,-8,1]]", "scenario.start[0]", "coincides with the source"),
+    ("scenario.start=[[30,30,-8,1]]", "scenario.start[0]", "coincides with the destination"),
+    ("scenario.start=[[0,0,-5,0],[0,0,-5,1]]", "scenario.start[1]", "coincides with vehicle 0"),
+    ("scenario.dt_s=0", "scenario.dt_s", "must be greater than 0, got 0"),
+    ("scenario.dt_s=inf", "scenario.dt_s", "must be greater than 0, got inf"),
+    ("scenario.duration_s=-80", "scenario.duration_s", "must be greater than 0, got -80"),
+    ("scenario.duration_s=0.02", "scenario.duration_s", "0.02 s is shorter than 1 steps"),
+    ("scenario.duration_s=80.02", "scenario.duration_s", "80.02 s is no whole number of steps"),
+    ("scenario.sensors=2", "scenario.sensors", "2 sensors cannot determine K, n and the fading"),
+    ("scenario.sensors=16.5", "scenario.sensors", "must be a number or a list of positions"),
+    ("scenario.sensors=true", "scenario.sensors", "must be a number or a list of positions"),
+    ("scenario.sensors=[[0,0,-8],[5,0,-8]]", "scenario.sensors", "2 sensors cannot determine"),
+    (SENSORS.format("[1,2]"), "scenario.sensors[2]", "needs 3 finite numbers"),
+    (SENSORS.format("7"), "scenario.sensors[2]", "needs 3 finite numbers, got 7"),
+    (SENSORS.format("[a,b,c]"), "scenario.sensors[2]", "needs 3 finite numbers"),
+    (SENSORS.format("[29.5,29.5,0]"), "scenario.sensors[2]", "lies on vehicle 0"),
+    (
+        "scenario.start=[[0,0,-5,0]] scenario.sensors=[[2,0,-5],[0,2,-5],[0,0,-7]]",
+        "scenario.sensors",
+        "all 3 sensors are 2 m from vehicle 0",
+    ),
+    # channel
+    ("channel.K_dB=nan", "channel.K_dB", "must be finite"),
+    ("channel.N0_dB=-inf", "channel.N0_dB", "must be finite"),
+    ("channel.n=0", "channel.n", "must be greater than 0"),
+    ("channel.bandwidth_khz=-1", "channel.bandwidth_khz", "must be greater than 0, got -1"),
+    ("channel.rho_dB=-0.1", "channel.rho_dB", "must be at least 0, got -0.1"),
+    ("channel.absorption=thorpe", "channel.absorption", "did you mean 'thorp'?"),
+    ("channel.frequency_khz=24", "channel.frequency_khz", "has no effect without absorption"),
+    ("channel.absorption=thorp", "channel.frequency_khz", "absorption thorp needs a frequency in kHz"),
+    ("channel=acoustic_24khz channel.frequency_khz=0", "channel.frequency_khz", "must be greater than 0"),
+    # vehicle
+    ("vehicle.mass_kg=0", "vehicle.mass_kg", "must be greater than 0"),
+    ("vehicle.yaw_inertia=nan", "vehicle.yaw_inertia", "must be greater than 0"),
+    ("vehicle.added_mass=[1,1,1]", "vehicle.added_mass", "needs 4 finite numbers"),
+    ("vehicle.added_mass=[1,1,-1,1]", "vehicle.added_mass", "heave must be at least 0, got -1"),
+    ("vehicle.linear_damping=[1,-1,1,1]", "vehicle.linear_damping", "sway must be at least 0, got -1"),
+    ("vehicle.quadratic_damping=[0,1,1,1]", "vehicle.quadratic_damping", "surge must be greater than 0, got 0"),
+    ("vehicle.tau_max=[85,85,120,0]", "vehicle.tau_max", "yaw must be greater than 0, got 0"),
+    ("vehicle.weight_N=nan", "vehicle.weight_N, vehicle.buoyancy_N", "needs 2 finite numbers"),
+    ("vehicle.weight_N=300", "vehicle.tau_max", "heave 120 N cannot hold the net weight of 185.2 N"),
+    ("scenario.dt_s=0.08", "scenario.dt_s", "cannot be integrated stably: yaw"),
+    # estimator and basis
+    ("estimator.name=orakle", "estimator.name", "did you mean 'oracle'?"),
+    ("basis.name=link", "basis.name", "'link' is none of link_frame, error_quadratic, error_velocity"),
+    ("basis.length_scales_m=[]", "basis.length_scales_m", "needs one or more different positive lengths"),
+    ("basis.length_scales_m=[2,0]", "basis.length_scales_m", "needs one or more different positive lengths"),
+    ("basis.length_scales_m=[2,nan]", "basis.length_scales_m", "needs one or more different positive lengths"),
+    ("basis.length_scales_m=[2,inf,2]", "basis.length_scales_m", "needs one or more different positive lengths"),
+    # cost
+    ("cost.beta_1=0", "cost.beta_1", "must be greater than 0"),
+    ("cost.yaw_weight=-0.01", "cost.yaw_weight", "must be at least 0"),
+    ("cost.R=[1,1,1]", "cost.R", "needs 4 finite numbers"),
+    ("cost.R=[1,1,0,1]", "cost.R", "must be positive definite"),
+    # solver
+    ("solver.name=z_rsl", "solver.name", "did you mean 'z_rls'?"),
+    ("solver.ridge=-1", "solver.ridge", "must be at least 0"),
+    ("solver.prior=inf", "solver.prior", "must be at least 0, got inf"),
+    ("solver=rls_paper solver.kappa=0", "solver.kappa", "must be greater than 0"),
+    ("solver=rls_paper solver.p0=0", "solver.p0", "must be greater than 0"),
+    ("solver=rls_forgetting solver.kappa=1.01", "solver.kappa", "a forgetting factor lies in (0, 1], got 1.01"),
+    # experience
+    ("experience.leg_s=0", "experience.leg_s", "must be greater than 0"),
+    ("experience.leg_s=5.02", "experience.leg_s", "5.02 s is no whole number of steps"),
+    ("experience.leg_s=0.4", "experience.leg_s", "0.4 s is shorter than planner.window_s"),
+    ("experience.excitation_rms=[1,1,1]", "experience.excitation_rms", "needs 4 finite numbers"),
+    ("experience.excitation_rms=[1,1,0,1]", "experience.excitation_rms", "heave must be greater than 0"),
+    ("experience.excitation_strength=[0.5]", "experience.excitation_strength", "needs 2 finite numbers"),
+    ("experience.excitation_strength=[1,0.2]", "experience.excitation_strength", "with 0 <= low <= high"),
+    ("experience.excitation_band_rad_s=[-1,4]", "experience.excitation_band_rad_s", "with 0 <= low <= high"),
+    ("experience.across_share=0", "experience.across_share", "must be greater than 0"),
+    ("experience.up_m=0", "experience.up_m", "must be greater than 0"),
+    ("experience.yaw_rad=0", "experience.yaw_rad", "must be greater than 0"),
+    ("experience.near_scale=0", "experience.near_scale", "must be greater than 0"),
+    ("experience.near_share=1.1", "experience.near_share", "is a share between 0 and 1, got 1.1"),
+    ("experience.near_share=nan", "experience.near_share", "is a share between 0 and 1"),
+    ("experience.relabel=-1", "experience.relabel", "must be at least 0, got -1"),
+    ("experience.relabel_time_s=0", "experience.relabel_time_s", "must be greater than 0"),
+    (f"{PARALLEL} experience.worlds=0", "experience.worlds", "must be at least 1, got 0"),
+    # planners
+    ("planner.name=ilr", "planner.name", "did you mean 'irl'?"),
+    ("planner.calibration_s=0.15", "planner.calibration_s", "0.15 s is shorter than 4 steps"),
+    (PAIR, "scenario.start", "planners fly one vehicle so far, got 2"),
+    ("planner=pd planner.position_gain=[1,1,1]", "planner.position_gain", "needs 4 finite numbers"),
+    ("planner=pd planner.velocity_gain=[1,1,1,0]", "planner.velocity_gain", "yaw must be greater than 0"),
+    ("planner=pd planner.saturation_m=0", "planner.saturation_m", "must be greater than 0"),
+    ("planner.window_s=0.05", "planner.window_s", "0.05 s is shorter than 2 steps"),
+    ("planner.window_s=0.45", "planner.window_s", "must be an even number of steps for Simpson's rule, got 9 x 0.05 s"),
+    ("planner.stride_s=0.07", "planner.stride_s", "0.07 s is no whole number of steps"),
+    ("planner.residual_floor=0", "planner.residual_floor", "must be greater than 0"),
+    ("planner.updates=0", "planner.updates", "must be at least 1, got 0"),
+    ("planner.actor_sign=print", "planner.actor_sign", "did you mean 'printed'?"),
+    ("planner.inertia_lower=[12,12,12]", "planner.inertia_lower", "needs 4 finite numbers"),
+    ("planner.inertia_lower=[12,0,12,0.2]", "planner.inertia_lower", "sway must be greater than 0"),
+    ("planner.inertia_lower=[12,0.1,12,0.2]", "planner.inertia_lower", "sway must be at least 0.2"),
+    ("planner.inertia_lower=[12,12,12,0.005]", "planner.inertia_lower", "yaw must be at least 0.01"),
+    ("planner.tolerance_weights=-1", "planner.tolerance_weights", "must be at least 0"),
+    ("planner.tolerance_inverse_capacity=-1", "planner.tolerance_inverse_capacity", "must be at least 0"),
+    (f"{HOVER_AND_LEG}=19.9", "planner.max_time_s", "19.9 s is shorter than the calibration hover and one leg"),
+    ("baseline.name=dp", "baseline.name", "'dp' is none of irl, pd"),
+    ("baseline.saturation_m=-4", "baseline.saturation_m", "must be greater than 0"),
+    ("planner@baseline=irl baseline.updates=0", "baseline.updates", "must be at least 1"),
+    # the rest
+    ("threads=0", "threads", "must be at least 1, got 0"),
+    ("dtype=float46", "dtype", "did you mean 'float64'?"),
+]
+
+ALLOWED = [
+    "",
+    "scenario.start=[[0,0,-5,0]]",
+    "scenario.sensors=3",
+    "scenario.sensors=[[0,0,-8],[5,0,-8],[5,0,-8]]",
+    "channel.rho_dB=0",
+    "channel.absorption=thorp channel.frequency_khz=1",
+    "vehicle.linear_damping=[0,0,0,0]",
+    "vehicle.added_mass=[0,0,0,0] scenario.dt_s=0.025",
+    "vehicle.weight_N=114.8",
+    "scenario.dt_s=0.0625 planner.window_s=0.5 planner.stride_s=0.25 vehicle.tau_max=[85,85,120,20]",
+    "basis.length_scales_m=[inf]",
+    "basis=error_quadratic basis.length_scales_m=[]",
+    "cost.yaw_weight=0",
+    "solver.ridge=0 solver.prior=0",
+    "solver=rls_forgetting solver.kappa=1",
+    "solver=rls_paper solver.kappa=1.01",
+    "experience.leg_s=0.5",
+    "experience.excitation_strength=[0.5,0.5]",
+    "experience.near_share=0",
+    "experience.near_share=1",
+    "experience.relabel=0",
+    f"{PARALLEL} experience.worlds=1",
+    "planner.calibration_s=0.2",
+    "planner.window_s=0.1",
+    "planner.tolerance_weights=0 planner.tolerance_inverse_capacity=0",
+    f"{HOVER_AND_LEG}=20",
+    "planner.actor_sign=printed",
+    "dtype=float32",
+    # Only a learner needs experience.
+    "planner=pd experience.leg_s=0",
+]
+
+
+def configured(make_config, overrides: str) -> Config:
+    """As on the command line; groups are composed by Hydra once, values set by its grammar on what they gave."""
+    words = overrides.split()
+    values = [word for word in words if "." in word.partition("=")[0]]
+    node = OmegaConf.structured(make_config(*(word for word in words if word not in values)))
+    for override in OverridesParser.create().parse_overrides(values):
+        OmegaConf.update(node, override.key_or_group, override.value())
+    return OmegaConf.to_object(node)
+
+
+@pytest.mark.parametrize(("overrides", "key", "fragment"), RULES, ids=[row[0] for row in RULES])
+def test_rule(make_config, overrides: str, key: str, fragment: str):
+    config = configured(make_config, overrides)
+    with pytest.raises(ConfigError) as caught:
+        validate(config)
+    assert caught.value.key == key
+    assert str(caught.value).startswith(f"{key}: ")
+    assert fragment in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("overrides", ALLOWED)
+def test_just_within_the_rules(make_config, overrides: str):
+    validate(configured(make_config, overrides))
+
+
+def test_step_limit_is_rk4s():
+    def growth(z: float) -> float:
+        return abs(1.0 + z + z**2 / 2.0 + z**3 / 6.0 + z**4 / 24.0)
+
+    assert growth(-RK4_STABILITY) <= 1.0
+    assert growth(-RK4_STABILITY - 0.001) > 1.0

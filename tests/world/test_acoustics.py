@@ -1,0 +1,74 @@
+"""The channel: Thorp's absorption and the paper's capacities to their printed digits, and monotonicity."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+
+import pytest
+import torch
+
+from uwirl.config.compose import folder
+from uwirl.world.acoustics import Channel, thorp_absorption
+
+CHANNELS = sorted(path.stem for path in (folder() / "channel").glob("*.yaml"))
+
+
+@pytest.fixture
+def channel(request: pytest.FixtureRequest, make_config) -> Channel:
+    return Channel(**asdict(make_config(f"channel={request.param}").channel))
+
+
+@pytest.mark.parametrize(("frequency", "printed"), [(1, "0.0690"), (10, "1.187"), (24, "5.691"), (50, "17.467")])
+def test_thorp_printed_values(frequency: float, printed: str):
+    digits = len(printed.split(".")[1])
+    assert f"{thorp_absorption(frequency):.{digits}f}" == printed
+
+
+# From the start (29.5, 29.5, 0) to the source, and half and a third of the link between (-30, -30) and (30, 30).
+@pytest.mark.parametrize(
+    ("distance", "printed_distance", "printed"),
+    [
+        (math.hypot(59.5, 59.5, 8.0), "84.525", "17.302"),
+        (30.0 * math.sqrt(2.0), "42.426", "62.045"),
+        (20.0 * math.sqrt(2.0), "28.284", "91.122"),
+    ],
+)
+@pytest.mark.parametrize("channel", ["paper"], indirect=True)
+def test_paper_capacities(channel: Channel, distance: float, printed_distance: str, printed: str):
+    assert f"{distance:.3f}" == printed_distance
+    assert f"{float(channel.mean_capacity_kbps(torch.tensor(distance, dtype=torch.float64))):.3f}" == printed
+
+
+@pytest.mark.parametrize("channel", CHANNELS, indirect=True)
+def test_capacity_falls_with_distance(channel: Channel):
+    capacity = channel.mean_capacity_kbps(torch.logspace(-1, 4, 2001, dtype=torch.float64))
+    assert bool((capacity.diff() < 0.0).all())
+    assert bool((capacity > 0.0).all())
+
+
+@pytest.mark.parametrize("channel", ["acoustic_24khz"], indirect=True)
+def test_absorption_counts_per_kilometre(channel: Channel):
+    near, far = channel.mean_snr_dB(torch.tensor([1000.0, 2000.0], dtype=torch.float64)).tolist()
+    assert near - far == pytest.approx(20.0 * math.log10(2.0) + thorp_absorption(24.0), abs=1e-10)
+
+
+@pytest.mark.parametrize("channel", CHANNELS, indirect=True)
+def test_snr_is_path_loss_less_known_loss(channel: Channel):
+    distance = torch.tensor([0.5, 1.0, 42.0, 900.0], dtype=torch.float64)
+    path_loss = [channel.K_dB - 10.0 * channel.n * math.log10(d) for d in distance.tolist()]
+    snr = channel.mean_snr_dB(distance) + channel.known_loss_dB(distance)
+    assert snr.tolist() == pytest.approx(path_loss, rel=1e-13)
+
+
+@pytest.mark.parametrize("channel", CHANNELS, indirect=True)
+def test_very_low_snr_keeps_its_capacity(channel: Channel):
+    capacity = float(channel.capacity_kbps(torch.tensor(-200.0, dtype=torch.float64)))
+    # log2(1 + s) -> s / ln 2, where 1 + s rounds to 1.
+    assert capacity == pytest.approx(channel.bandwidth_khz * 1e-20 / math.log(2.0), rel=1e-12, abs=0.0)
+
+
+def test_missing_frequency_raises():
+    channel = Channel(K_dB=-60.0, n=2.0, N0_dB=-104.0, bandwidth_khz=6.0, absorption="thorp")
+    with pytest.raises(ValueError, match=r"channel\.frequency_khz.*thorp.*kHz"):
+        channel.mean_snr_dB(torch.ones(1))

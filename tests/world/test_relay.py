@@ -1,0 +1,167 @@
+"""The relay environment: reset, rollouts, divergence, links of a chain, and where sensors lie."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from itertools import pairwise
+
+import pytest
+import torch
+from torch import Tensor
+
+from uwirl.world.acoustics import Channel
+from uwirl.world.random import RandomStreams, Stream
+from uwirl.world.relay import DivergedError, Relay
+from uwirl.world.scenario import Scenario, spread_sensors
+from uwirl.world.vehicle import Vehicle, VehicleState
+
+SOURCE, DESTINATION = [-30.0, -30.0, -8.0], [30.0, 30.0, -8.0]
+START = [[-12.0, -9.0, -7.0, 0.5], [10.0, 11.0, -6.0, -1.0]]
+WORLDS = 5
+
+
+def tensor(values: list) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+@pytest.fixture
+def env(make_config) -> Relay:
+    """Two vehicles between the paper's nodes."""
+    config = make_config()
+    scenario = Scenario(tensor(SOURCE), tensor(DESTINATION), tensor(START), torch.zeros(0, 3), 0.05, 80.0)
+    streams = RandomStreams.worlds(11, WORLDS)
+    return Relay(scenario, Vehicle(**asdict(config.vehicle)), Channel(**asdict(config.channel)), streams)
+
+
+def world_alone(env: Relay, i: int) -> Relay:
+    streams = RandomStreams(env.streams.seed[i : i + 1], env.streams.world[i : i + 1])
+    return Relay(env.scenario, env.vehicle, env.channel, streams)
+
+
+def excited_policy(env: Relay):
+    """Feedback on the pose plus each world's own random thrust."""
+
+    def policy(state: VehicleState, step: int) -> Tensor:
+        noise = env.streams.normal(Stream.EXPLORATION, step, 8).view(-1, 2, 4)
+        return 40.0 * noise - 5.0 * (state.eta - env.scenario.start) - 3.0 * state.nu
+
+    return policy
+
+
+def test_reset_is_the_start_at_rest(env: Relay):
+    state = env.reset()
+    assert state.eta.shape == state.nu.shape == (WORLDS, 2, 4)
+    assert torch.equal(state.eta, tensor(START).expand(WORLDS, 2, 4))
+    assert not bool(state.nu.any())
+
+
+def test_mission_has_whole_steps(env: Relay):
+    assert env.scenario.steps == 1600
+    assert env.scenario.vehicles == 2
+
+
+def test_rollout_saturates(env: Relay):
+    limit = env.vehicle.tau_max
+    share = tensor([[1.5, -1.5, 0.25, -0.25], [-1.0, 1.0, -7.0, 7.0]])
+    flight = env.rollout(lambda state, step: (share * limit).expand(WORLDS, 2, 4), env.reset(), 10)
+    held = (share.clamp(-1.0, 1.0) * limit).expand(WORLDS, 2, 4)
+    assert torch.equal(flight.tau, held.expand(10, WORLDS, 2, 4))
+    state = env.reset()
+    for _ in range(10):
+        state = env.vehicle.step(state, held, 0.05)
+    assert torch.equal(flight.last.components, state.components)
+
+
+def test_policy_sees_the_state_of_its_step(env: Relay):
+    seen = []
+
+    def policy(state: VehicleState, step: int) -> Tensor:
+        seen.append((step, state.components.clone()))
+        return env.vehicle.tau_max.expand(WORLDS, 2, 4)
+
+    flight = env.rollout(policy, env.reset(), 4)
+    assert [step for step, _ in seen] == [0, 1, 2, 3]
+    assert torch.equal(torch.stack([components for _, components in seen]), flight.components[:-1])
+
+
+def test_trajectory_views(env: Relay):
+    flight = env.rollout(excited_policy(env), env.reset(), 6)
+    assert flight.eta.shape == flight.nu.shape == (7, WORLDS, 2, 4)
+    assert torch.equal(flight.states.eta, flight.eta)
+    assert torch.equal(flight.states.nu, flight.nu)
+    assert torch.equal(flight.last.eta, flight.eta[-1])
+    assert flight.time.tolist() == pytest.approx([0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3])
+
+
+def test_worlds_equal_singles(env: Relay):
+    start = VehicleState.from_eta_nu(env.reset().eta + torch.arange(WORLDS)[:, None, None])
+    together = env.rollout(excited_policy(env), start, 20)
+    for i in range(WORLDS):
+        single = world_alone(env, i)
+        alone = single.rollout(excited_policy(single), VehicleState(start.components[:, i : i + 1]), 20)
+        torch.testing.assert_close(together.components[:, :, i : i + 1], alone.components, rtol=0.0, atol=1e-12)
+        torch.testing.assert_close(together.tau[:, i : i + 1], alone.tau, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("bad", [0, 7])
+def test_policy_that_returns_nan(env: Relay, bad: int):
+    def policy(state: VehicleState, step: int) -> Tensor:
+        tau = torch.zeros(WORLDS, 2, 4, dtype=torch.float64)
+        tau[3, 1, 2] = math.nan if step == bad else 0.0
+        return tau
+
+    with pytest.raises(DivergedError, match=rf"^tau is not finite at step {bad} \(t = {0.05 * bad:g} s"):
+        env.rollout(policy, env.reset(), 10)
+
+
+@pytest.mark.parametrize(("component", "quantity", "step"), [(5, "nu", 1), (0, "eta", 0)])
+def test_state_that_leaves_the_finite(env: Relay, component: int, quantity: str, step: int):
+    state = env.reset()
+    # A velocity whose square overflows within the first step; a position that never was a number.
+    state.components[component, 2, 0] = 1e200 if quantity == "nu" else math.nan
+    with pytest.raises(DivergedError, match=rf"^{quantity} is not finite at step {step} "):
+        env.rollout(lambda s, k: torch.zeros(WORLDS, 2, 4, dtype=torch.float64), state, 5)
+
+
+def test_chain_runs_from_source_to_destination(env: Relay):
+    chain = env.chain(env.reset().position)
+    assert torch.equal(chain, tensor([SOURCE, START[0][:3], START[1][:3], DESTINATION]).expand(WORLDS, 4, 3))
+
+
+def test_link_capacities_by_hand(env: Relay):
+    nodes = [SOURCE, START[0][:3], START[1][:3], DESTINATION]
+    expected = []
+    for p, q in pairwise(nodes):
+        snr_dB = -60.0 - 50.0 * math.log10(math.dist(p, q)) + 160.0
+        expected.append(10.0 * math.log2(1.0 + 10.0 ** (snr_dB / 10.0)))
+    assert env.link_capacities_kbps(tensor(START)[:, :3]).tolist() == pytest.approx(expected, rel=1e-12)
+
+
+def test_even_chain_of_two_reaches_the_papers_capacity(env: Relay):
+    links = env.link_capacities_kbps(tensor([[-10.0, -10.0, -8.0], [10.0, 10.0, -8.0]]).expand(WORLDS, 2, 3))
+    assert links.shape == (WORLDS, 3)
+    assert [f"{c:.3f}" for c in links.flatten().tolist()] == ["91.122"] * (3 * WORLDS)
+
+
+def test_sensors_follow_the_seed():
+    first, again, other = (spread_sensors(16, seed, SOURCE, DESTINATION, torch.float64) for seed in (3, 3, 4))
+    assert torch.equal(first, again)
+    assert not bool((first == other).any())
+
+
+def test_sensors_fill_their_box():
+    sensors = spread_sensors(20_000, 0, SOURCE, [30.0, 30.0, -2.0], torch.float64)
+    quarter = math.hypot(60.0, 60.0, 6.0) / 4.0
+    low, high = tensor([-30.0 - quarter, -30.0 - quarter, -12.0]), tensor([30.0 + quarter, 30.0 + quarter, 2.0])
+    share = (sensors - low) / (high - low)
+    assert sensors.shape == (20_000, 3)
+    assert bool(((share >= 0.0) & (share <= 1.0)).all())
+    # The chance that 20,000 uniform draws leave the outer 0.1 % of a side empty is 2e-9.
+    assert bool((share.amin(0) < 1e-3).all())
+    assert bool((share.amax(0) > 1.0 - 1e-3).all())
+
+
+def test_more_sensors_begin_with_the_same():
+    few, many = (spread_sensors(count, 0, SOURCE, DESTINATION, torch.float64) for count in (5, 40))
+    assert torch.equal(many[:5], few)
