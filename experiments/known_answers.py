@@ -123,15 +123,19 @@ def random_problem(generator: torch.Generator) -> LinearQuadratic:
 
 
 def random_systems(count: int, generator: torch.Generator) -> tuple[list[float], list[float]]:
-    """Gain errors on random systems through QR and through Z; start: the optimal gain of another cost, so admissible."""
+    """Gain errors on random systems through QR and through Z, started from the optimal gain of another cost."""
     errors: tuple[list[float], list[float]] = ([], [])
     for _ in range(count):
         problem = random_problem(generator)
         other = LinearQuadratic(problem.A, problem.B, torch.eye(len(problem.A), dtype=torch.float64), 0.3 * problem.R)
         start = -riccati_gain(other).flatten()[None]
         exact = column(exact_experience(problem, generator))
-        for family, found in zip((BatchLeastSquares, ZRecursiveLeastSquares), errors, strict=True):
-            actor = learn(problem.basis, family(problem.operator, Regularisation()), exact, start)
+        solvers: tuple[Solver, Solver] = (
+            BatchLeastSquares(problem.operator, Regularisation()),
+            ZRecursiveLeastSquares(problem.operator, Regularisation()),
+        )
+        for solver, found in zip(solvers, errors, strict=True):
+            actor = learn(problem.basis, solver, exact, start)
             found.append(relative_error(problem.gain(actor.weight)[0], riccati_gain(problem)))
     return errors
 

@@ -64,7 +64,7 @@ RULES = [
     ("vehicle.linear_damping=[1,-1,1,1]", "vehicle.linear_damping", "sway must be at least 0, got -1"),
     ("vehicle.quadratic_damping=[0,1,1,1]", "vehicle.quadratic_damping", "surge must be greater than 0, got 0"),
     ("vehicle.tau_max=[85,85,120,0]", "vehicle.tau_max", "yaw must be greater than 0, got 0"),
-    ("vehicle.weight_N=nan", "vehicle.weight_N, vehicle.buoyancy_N", "needs 2 finite numbers"),
+    ("vehicle.weight_N=nan", "vehicle.weight_N", "must be at least 0"),
     ("vehicle.weight_N=300", "vehicle.tau_max", "heave 120 N cannot hold the net weight of 185.2 N"),
     ("scenario.dt_s=0.08", "scenario.dt_s", "cannot be integrated stably: yaw"),
     # estimator and basis
@@ -120,7 +120,13 @@ RULES = [
     ("planner.inertia_lower=[12,12,12]", "planner.inertia_lower", "needs 4 finite numbers"),
     ("planner.inertia_lower=[12,0,12,0.2]", "planner.inertia_lower", "sway must be greater than 0"),
     ("planner.inertia_lower=[12,0.1,12,0.2]", "planner.inertia_lower", "sway must be at least 0.2"),
-    ("planner.inertia_lower=[12,12,12,0.005]", "planner.inertia_lower", "yaw must be at least 0.01"),
+    ("planner.inertia_lower=[12,12,12,0.1]", "planner.inertia_lower", "yaw must be at least 0.15"),
+    ("planner.name=pd", "planner.name", "choose it with planner=pd"),
+    ("planner.max_time_s=nan", "planner.max_time_s", "must be greater than 0"),
+    ("planner.start_gain=nan", "planner.start_gain", "must be finite"),
+    ("experience.name=parallel", "experience.name", "choose it with experience=parallel"),
+    ("solver.name=rls_paper", "solver.name", "choose it with solver=rls_paper"),
+    ("solver=batch solver.bounded=true", "solver.bounded", "says otherwise than the solver's name"),
     ("planner.tolerance_weights=-1", "planner.tolerance_weights", "must be at least 0"),
     ("planner.tolerance_inverse_capacity=-1", "planner.tolerance_inverse_capacity", "must be at least 0"),
     (f"{HOVER_AND_LEG}=19.9", "planner.max_time_s", "19.9 s is shorter than the calibration hover and one leg"),
@@ -128,6 +134,9 @@ RULES = [
     ("baseline.saturation_m=-4", "baseline.saturation_m", "must be greater than 0"),
     ("planner@baseline=irl baseline.updates=0", "baseline.updates", "must be at least 1"),
     # the rest
+    ("scenario.dt_s=1e-310", "scenario.duration_s", "more than 1,000,000 steps"),
+    ("seed=-1", "seed", "must lie in [0, 2^63)"),
+    ("device=gpu", "device", "'gpu' is none of cpu, cuda, mps"),
     ("threads=0", "threads", "must be at least 1, got 0"),
     ("dtype=float46", "dtype", "did you mean 'float64'?"),
 ]

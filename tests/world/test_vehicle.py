@@ -13,7 +13,7 @@ from torch import Tensor
 
 from uwirl.config.compose import folder
 from uwirl.world import vehicle as vehicle_module
-from uwirl.world.vehicle import Vehicle, VehicleState, wrap_angle
+from uwirl.world.vehicle import Vehicle, VehicleState
 
 PRESETS = sorted(path.stem for path in (folder() / "vehicle").glob("*.yaml"))
 BATCH = (6, 2)
@@ -240,11 +240,3 @@ def test_state_keeps_eta_and_nu():
     assert torch.equal(state.eta, eta)
     assert torch.equal(state.nu, nu)
     assert torch.equal(state.position, eta[..., :3])
-
-
-def test_wrapped_angle_is_the_same_direction():
-    angle = 50.0 * normal(10_000)
-    wrapped = wrap_angle(angle)
-    turns = (angle - wrapped) / (2.0 * math.pi)
-    assert float(wrapped.abs().max()) <= math.pi
-    torch.testing.assert_close(turns, turns.round(), rtol=0.0, atol=1e-12)

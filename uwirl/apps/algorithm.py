@@ -31,7 +31,15 @@ from uwirl.world.relay import DivergedError, Relay
 log = logging.getLogger("uwirl")
 
 # What a run may end in without being a bug: its message goes into metrics.json.
-FAILURES = (DivergedError, InadmissiblePolicyError, InsufficientDataError, UnidentifiableError, NoTargetError)
+FAILURES = (
+    DivergedError,
+    InadmissiblePolicyError,
+    InsufficientDataError,
+    UnidentifiableError,
+    NoTargetError,
+    ArithmeticError,
+    torch.linalg.LinAlgError,
+)
 
 
 def run(config: Config, experiment: str, folder: Path) -> dict[str, Any]:

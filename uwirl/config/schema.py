@@ -83,6 +83,7 @@ class RlsSolverConfig(SolverConfig):
 class ExperienceConfig:
     name: str = MISSING  # virtual_links | parallel
     leg_s: float = MISSING
+    max_time_s: float = MISSING  # what planner.max_time_s is unless it is set
     excitation_rms: list[float] = MISSING  # N, N, N, N m
     excitation_strength: list[float] = MISSING  # range of a leg's strength
     excitation_band_rad_s: list[float] = MISSING

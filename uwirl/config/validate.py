@@ -27,6 +27,9 @@ from uwirl.config.schema import (
 AXES = ("surge", "sway", "heave", "yaw")
 # Of the real axis that classical RK4 integrates stably, |lambda dt| < 2.785.
 RK4_STABILITY = 2.785
+MAX_STEPS = 1_000_000
+# Batch solvers by name, and whether each is bounded.
+BATCH = {"batch": False, "bounded_batch": True}
 
 
 class ConfigError(ValueError):
@@ -69,9 +72,19 @@ def _one_of(value: str, key: str, choices: Iterable[str]) -> None:
         raise ConfigError(key, f"{value!r} is none of {', '.join(choices)}{hint}")
 
 
+def _named(value: str, key: str, family: Iterable[str], here: Iterable[str]) -> None:
+    """A name of the family, and one that belongs to the settings it stands in."""
+    _one_of(value, key, family)
+    if value not in here:
+        group = key.removesuffix(".name")
+        raise ConfigError(key, f"{value!r} needs other settings than these; choose it with {group}={value}")
+
+
 def _steps(seconds: float, dt: float, key: str, least: int = 1) -> int:
     """How many steps a time is, which must be whole."""
     _positive(seconds, key)
+    if seconds / dt > MAX_STEPS:
+        raise ConfigError(key, f"{seconds:g} s are more than {MAX_STEPS:,} steps of scenario.dt_s = {dt:g} s")
     steps = round(seconds / dt)
     if steps < least:
         raise ConfigError(key, f"{seconds:g} s is shorter than {least} steps of scenario.dt_s = {dt:g} s")
@@ -148,7 +161,8 @@ def _vehicle(vehicle: VehicleConfig, dt: float) -> None:
     _each(vehicle.linear_damping, "vehicle.linear_damping", 4, zero=True)
     _each(vehicle.quadratic_damping, "vehicle.quadratic_damping", 4)
     _each(vehicle.tau_max, "vehicle.tau_max", 4)
-    _finite([vehicle.weight_N, vehicle.buoyancy_N], "vehicle.weight_N, vehicle.buoyancy_N", 2)
+    _positive(vehicle.weight_N, "vehicle.weight_N", zero=True)
+    _positive(vehicle.buoyancy_N, "vehicle.buoyancy_N", zero=True)
     trim = abs(vehicle.weight_N - vehicle.buoyancy_N)
     if trim >= vehicle.tau_max[2]:
         raise ConfigError("vehicle.tau_max", f"heave {vehicle.tau_max[2]:g} N cannot hold the net weight of {trim:g} N")
@@ -181,8 +195,15 @@ def _cost(cost: CostConfig) -> None:
 
 
 def _solver(solver: SolverConfig) -> None:
-    _one_of(solver.name, "solver.name", ("z_rls", "batch", "bounded_batch", "rls_paper", "rls_forgetting"))
+    rls = ("rls_paper", "rls_forgetting")
+    least_squares = ("z_rls", *BATCH)
+    here = rls if isinstance(solver, RlsSolverConfig) else least_squares
+    _named(solver.name, "solver.name", (*least_squares, *rls), here)
     if isinstance(solver, LeastSquaresSolverConfig):
+        if solver.name in BATCH and solver.bounded != BATCH[solver.name]:
+            raise ConfigError(
+                "solver.bounded", "says otherwise than the solver's name; choose solver=batch or bounded_batch"
+            )
         _positive(solver.ridge, "solver.ridge", zero=True)
         _positive(solver.prior, "solver.prior", zero=True)
     if isinstance(solver, RlsSolverConfig):
@@ -193,6 +214,8 @@ def _solver(solver: SolverConfig) -> None:
 
 
 def _experience(experience: ExperienceConfig, planner: IrlConfig, dt: float) -> None:
+    here = "parallel" if isinstance(experience, ParallelConfig) else "virtual_links"
+    _named(experience.name, "experience.name", ("virtual_links", "parallel"), [here])
     _steps(experience.leg_s, dt, "experience.leg_s")
     if experience.leg_s < planner.window_s:
         raise ConfigError("experience.leg_s", f"{experience.leg_s:g} s is shorter than planner.window_s")
@@ -216,7 +239,7 @@ def _experience(experience: ExperienceConfig, planner: IrlConfig, dt: float) -> 
 
 def _planner(planner: PlannerConfig, group: str, config: Config) -> None:
     dt = config.scenario.dt_s
-    _one_of(planner.name, f"{group}.name", ("irl", "pd"))
+    _named(planner.name, f"{group}.name", ("irl", "pd"), ["irl" if isinstance(planner, IrlConfig) else "pd"])
     _steps(planner.calibration_s, dt, f"{group}.calibration_s", least=4)
     if len(config.scenario.start) != 1:
         raise ConfigError("scenario.start", f"planners fly one vehicle so far, got {len(config.scenario.start)}")
@@ -236,15 +259,18 @@ def _planner(planner: PlannerConfig, group: str, config: Config) -> None:
             raise ConfigError(f"{group}.updates", f"must be at least 1, got {planner.updates}")
         _one_of(planner.actor_sign, f"{group}.actor_sign", ("corrected", "printed"))
         _each(planner.inertia_lower, f"{group}.inertia_lower", 4)
-        for axis, inertia, weakest in zip(AXES, planner.inertia_lower, (2.0, 2.0, 2.0, 0.1), strict=True):
-            if inertia < 2.0 * dt * weakest:
+        # Below, the weakest damping that the bounds ask for would already ring under a control held for dt.
+        for axis, inertia, least in zip(AXES, planner.inertia_lower, (4.0, 4.0, 4.0, 3.0), strict=True):
+            if inertia < least * dt:
                 raise ConfigError(
-                    f"{group}.inertia_lower",
-                    f"{axis} must be at least {2 * dt * weakest:g}, or no damping is left within the bounds",
+                    f"{group}.inertia_lower", f"{axis} must be at least {least * dt:.3g}, got {inertia:g}"
                 )
         _positive(planner.tolerance_weights, f"{group}.tolerance_weights", zero=True)
         _positive(planner.tolerance_inverse_capacity, f"{group}.tolerance_inverse_capacity", zero=True)
         _experience(config.experience, planner, dt)
+        _positive(planner.max_time_s, f"{group}.max_time_s")
+        if not math.isfinite(planner.start_gain):
+            raise ConfigError(f"{group}.start_gain", f"must be finite, got {planner.start_gain}")
         if planner.max_time_s < planner.calibration_s + config.experience.leg_s:
             raise ConfigError(
                 f"{group}.max_time_s", f"{planner.max_time_s:g} s is shorter than the calibration hover and one leg"
@@ -272,4 +298,7 @@ def validate(config: Config) -> None:
     _planner(config.baseline, "baseline", config)
     if config.threads < 1:
         raise ConfigError("threads", f"must be at least 1, got {config.threads}")
+    if not 0 <= config.seed < 2**63:
+        raise ConfigError("seed", f"must lie in [0, 2^63), got {config.seed}")
+    _one_of(config.device.split(":")[0], "device", ("cpu", "cuda", "mps"))
     _one_of(config.dtype, "dtype", ("float64", "float32"))

@@ -54,11 +54,6 @@ class VehicleState:
         return self.components[:3].movedim(0, -1)
 
 
-def wrap_angle(angle: Tensor) -> Tensor:
-    """Angle in rad, wrapped to (-pi, pi]."""
-    return torch.atan2(torch.sin(angle), torch.cos(angle))
-
-
 class Vehicle(nn.Module):
     """The model of (1): M, C, D, g, J as tensors, and its Runge-Kutta integration.
 
@@ -195,14 +190,16 @@ class Vehicle(nn.Module):
             state: [B, M].
             tau: [B, M, 4].
             dt: s.
-            out: where to write the new components, [8, B, M]; a new tensor if None.
+            out: where to write the new components, contiguous [8, B, M]; a new tensor if None.
         """
         x, tau = state.components, tau.movedim(-1, 0)
         chunks = -(-x[0].numel() // CHUNK)
         if out is None and chunks == 1:
             return VehicleState(self.rk4(x, tau, dt))
-        out = torch.empty_like(x) if out is None else out
-        parts = (t.flatten(1).tensor_split(chunks, 1) for t in (x, tau, out))
+        out = x.new_empty(x.shape) if out is None else out
+        # A view, or an error: a silent copy of `out` would swallow what is written.
+        flat = x.flatten(1), tau.flatten(1), out.view(8, -1)
+        parts = (t.tensor_split(chunks, 1) for t in flat)
         for part_x, part_tau, part_out in zip(*parts, strict=True):
             part_out.copy_(self.rk4(part_x, part_tau, dt))
         return VehicleState(out)
