@@ -9,8 +9,10 @@ from functools import cache
 import pytest
 import torch
 
+from uwirl import build
 from uwirl.config.compose import compose
 from uwirl.config.schema import Config
+from uwirl.world.relay import Relay
 
 MakeConfig = Callable[..., Config]
 
@@ -25,3 +27,9 @@ def make_config() -> MakeConfig:
     """make_config("channel=paper", ...): composed once for the session, copied for each call, not validated."""
     composed = cache(lambda *overrides: compose(overrides))
     return lambda *overrides: deepcopy(composed(*overrides))
+
+
+@pytest.fixture(scope="session")
+def make_relay(make_config: MakeConfig) -> Callable[..., Relay]:
+    """make_relay("channel=paper", ..., streams=None): the environment of a configuration."""
+    return lambda *overrides, streams=None: build.make_relay(make_config(*overrides), streams)

@@ -91,19 +91,20 @@ class LinkFrameBasis:
             heave.append(up)
         return torch.stack([*surge, u, *sway, v, v * u.abs(), *heave, w, s, r, u * v], -1)
 
+    def _nearest(self, L: float) -> bool:
+        """Whether L is the scale that governs the approach: the smallest, unless it is infinite."""
+        return math.isfinite(L) and min(self.scales) == L
+
     def start_weights(self) -> Tensor:
-        """-10 on the smallest finite scale, 0 on the others, damping -20, -60 on v|u|; yaw -10 and -3.5."""
-        smallest = min(self.scales)
-        restoring = 10.0 if math.isfinite(smallest) else 0.6
-        pulls = [-restoring if L == smallest else 0.0 for L in self.scales]
+        """-10 on the smallest finite scale, -0.3 on the others, damping -20, -60 on v|u|; yaw -10 and -3.5."""
+        pulls = [-10.0 if self._nearest(L) else -0.3 for L in self.scales]
         planar = [pull for pull in pulls for _ in range(2)]
         surge, sway, heave, yaw = [*planar, -20.0], [*planar, -20.0, -60.0], [*pulls, -20.0], [-10.0, -3.5, 0.0]
         return torch.tensor([*surge, *sway, *heave, *yaw], dtype=torch.float64)
 
     def bounds(self, inertia_lower: Sequence[float], dt: float) -> Bounds:
-        smallest = min(self.scales)
         # Per scale (own axis, other planar axis): without a pull on every own axis far starts crawl in some fits.
-        weakest = [(-3.0, -3.0) if L == smallest else (-0.3, 0.0) for L in self.scales]
+        weakest = [(-3.0, -3.0) if self._nearest(L) else (-0.3, 0.0) for L in self.scales]
         along, across = [w for pair in weakest for w in pair], [w for own, other in weakest for w in (other, own)]
         surge, sway, heave = (-inertia / (2.0 * dt) for inertia in inertia_lower[:3])
         yaw = -inertia_lower[3] / dt
