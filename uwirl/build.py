@@ -26,7 +26,8 @@ from uwirl.irl.policy_iteration import StoppingRule
 from uwirl.irl.solvers import BatchLeastSquares, Bounds, ClassicalRls, Solver, ZRecursiveLeastSquares
 from uwirl.motion.baselines.pd import PdPlanner
 from uwirl.motion.cost import RelayCost
-from uwirl.motion.experience import Excitation, Parallel, PoseDraw, VirtualLinks, Window
+from uwirl.motion.excitation import Excitation, PoseDraw
+from uwirl.motion.experience import Parallel, VirtualLinks, Window
 from uwirl.motion.features import ErrorBasis, LinkFrameBasis, MotionBasis
 from uwirl.motion.planner import CostFactory, ExperienceSource, IrlPlanner, Planner
 from uwirl.motion.targets import ChainTargets

@@ -146,7 +146,6 @@ def test_multirun_goes_on_after_a_bad_job(tmp_path):
     assert status == ["complete", "complete"]
 
 
-@pytest.mark.slow
 def test_installed_wheel_runs_from_another_folder(tmp_path):
     """Built, unpacked and run where no checkout is: it must find the configuration inside the package."""
     root = Path(__file__).parents[2]

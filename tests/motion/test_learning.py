@@ -8,7 +8,7 @@ import torch
 from uwirl import build
 from uwirl.irl.policy_iteration import InadmissiblePolicyError, InsufficientDataError
 from uwirl.irl.solvers import BatchLeastSquares, ZRecursiveLeastSquares
-from uwirl.motion.experience import Excitation, PoseDraw
+from uwirl.motion.excitation import Excitation, PoseDraw
 from uwirl.motion.planner import LearningPlanner
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import oracle

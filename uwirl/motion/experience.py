@@ -15,71 +15,15 @@ from torch import Tensor
 
 from uwirl.irl.bellman import BellmanOperator, Segment
 from uwirl.irl.networks import LinearActor
-from uwirl.irl.policy_iteration import InadmissiblePolicyError
 from uwirl.irl.solvers import Experience
 from uwirl.motion.cost import RelayCost
+from uwirl.motion.excitation import Excitation, PoseDraw
 from uwirl.motion.features import MotionBasis
 from uwirl.motion.link_frame import LinkFrame, relabel
 from uwirl.motion.policy import LinkFramePolicy
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay, Trajectory
 from uwirl.world.vehicle import VehicleState
-
-FREQUENCIES = 6
-
-
-@dataclass(frozen=True)
-class Excitation:
-    """Multisine added to the policy's control while learning.
-
-    Attributes:
-        rms: root mean square on each axis at full strength, N, N, N, N m.
-        strength: range from which each leg's strength is drawn.
-        band_rad_s: range from which the frequencies are drawn, rad/s.
-    """
-
-    rms: tuple[float, ...]
-    strength: tuple[float, float]
-    band_rad_s: tuple[float, float]
-
-    def draw(self, streams: RandomStreams, leg: int, steps: int, dt: float) -> Tensor:
-        """[n, B, 4]."""
-        u = streams.uniform(Stream.EXPLORATION, leg, 1 + 8 * FREQUENCIES)
-        omega, phase = u[:, 1:].view(-1, 2, 4, FREQUENCIES).unbind(1)
-        omega = self.band_rad_s[0] + (self.band_rad_s[1] - self.band_rad_s[0]) * omega
-        strength = self.strength[0] + (self.strength[1] - self.strength[0]) * u[:, :1]
-        time = torch.arange(steps, dtype=u.dtype, device=u.device).view(-1, 1, 1, 1) * dt
-        wave = torch.sin(omega * time + 2.0 * math.pi * phase).sum(-1) / (FREQUENCIES / 2.0) ** 0.5
-        return wave * strength * torch.tensor(self.rms, dtype=u.dtype, device=u.device)
-
-
-@dataclass(frozen=True)
-class PoseDraw:
-    """Distribution of the pose that a leg starts with, relative to its virtual link.
-
-    Attributes:
-        along_m, across_m, up_m: half widths of e_par, e_perp and e_z.
-        yaw_rad: half width of psi~.
-        near_share: share of legs drawn close to the target instead.
-        near_scale: by which their widths along and across shrink (that of e_z by its double).
-    """
-
-    along_m: float
-    across_m: float
-    up_m: float
-    yaw_rad: float
-    near_share: float
-    near_scale: float
-
-    def draw(self, streams: RandomStreams, stream: Stream, step: int) -> Tensor:
-        """(e_par, e_perp, e_z, psi~), [B, 4]."""
-        u = streams.uniform(stream, step, 5)
-        near = u[:, 4:] < self.near_share
-        plane = torch.where(near, self.near_scale, 1.0)
-        up = torch.where(near, 2.0 * self.near_scale, 1.0)
-        shrink = torch.cat([plane, plane, up, torch.ones_like(up)], -1)
-        half = torch.tensor([self.along_m, self.across_m, self.up_m, self.yaw_rad], dtype=u.dtype, device=u.device)
-        return (2.0 * u[:, :4] - 1.0) * half * shrink
 
 
 @dataclass(frozen=True)
@@ -229,36 +173,4 @@ def _fly_leg(
     frame = LinkFrame.seen_as(state, pose.to(dtype).view(B, M, 4))
     wave = excitation.draw(env.streams, leg, steps, env.scenario.dt).to(dtype).view(steps, B, M, 4)
     trajectory = env.rollout(LinkFramePolicy(frame, actor, trim, wave), state, steps)
-    return trajectory, frame.relative(trajectory.states).flatten(1, 2)
-
-
-def calibration_hover(env: Relay, actor: LinearActor, cost: RelayCost, seconds: float) -> tuple[VehicleState, Tensor]:
-    """Hold a point 1 m ahead and 1 m abeam with the start policy: what trim does it take, and is the policy admissible?
-
-    Args:
-        env: the worlds.
-        actor: the start policy.
-        cost: the learner's running cost.
-        seconds: duration, s.
-
-    Returns:
-        The state afterwards, and tau_trim [L, 4], the mean control over the last quarter of the hover.
-
-    Raises:
-        InadmissiblePolicyError: the cost grew instead of falling.
-    """
-    state = env.reset()
-    steps = round(seconds / env.scenario.dt)
-    quarter = steps // 4
-    pose = state.components.new_tensor([1.0, 1.0, 0.0, 0.0]).expand(*state.components.shape[1:], 4)
-    frame = LinkFrame.seen_as(state, pose)
-    no_trim = state.components.new_zeros(4)
-    trajectory = env.rollout(LinkFramePolicy(frame, actor, no_trim), state, steps)
-    running = cost.state(frame.relative(trajectory.states)).flatten(1)
-    before, after = float(running[:quarter].mean()), float(running[-quarter:].mean())
-    if not after < before:
-        raise InadmissiblePolicyError(
-            f"planner: the start policy is not admissible: holding a point 1.4 m away, its running cost grew from "
-            f"{before:.3g} to {after:.3g} in {seconds:g} s; start from a damped policy (planner.start_gain > 0)"
-        )
-    return trajectory.last, trajectory.tau[-quarter:].mean(0).flatten(0, 1)
+    return trajectory, frame.relative(trajectory.states).flatten(1, 2).double()

@@ -14,8 +14,9 @@ from uwirl.irl.bellman import BellmanOperator
 from uwirl.irl.networks import LinearActor, LinearCritic
 from uwirl.irl.policy_iteration import IterationRecord, StoppingRule, policy_iteration
 from uwirl.irl.solvers import Bounds, Experience, Solver
+from uwirl.motion.calibration import calibration_hover
 from uwirl.motion.cost import RelayCost
-from uwirl.motion.experience import Recorder, Window, calibration_hover
+from uwirl.motion.experience import Recorder, Window
 from uwirl.motion.features import MotionBasis
 from uwirl.motion.policy import LinkFramePolicy, Policy
 from uwirl.motion.targets import ChainTargets, mean_channel_targets
@@ -103,13 +104,18 @@ class IrlPlanner(LearningPlanner):
         cost = self.make_cost(estimate, targets)
         self.basis = self.make_basis(cost)
         start = (self.start_gain * self.basis.start_weights()).repeat(self.learners, 1)
-        actor = LinearActor(self.basis, start.to(targets.neighbours))
-        critic = LinearCritic(self.basis, self.learners).to(actor.weight)
+        # Weights are float64 whatever the environment's dtype.
+        device = targets.neighbours.device
+        actor = LinearActor(self.basis, start.to(device))
+        critic = LinearCritic(self.basis, self.learners).to(device)
         self.start_weights = actor.weight.clone()
         state, trim = calibration_hover(env, actor, cost, self.calibration_s)
+        if self.learners == 1:
+            trim = trim.mean(0, keepdim=True)
         self.policy = LinkFramePolicy(targets.frame, actor, trim)
         operator = BellmanOperator(len(self.basis.critic_names), actor.sizes, cost.R, actor_sign=self.actor_sign)
-        solver = self.make_solver(operator, actor.weight, self.basis.bounds(self.inertia_lower, env.scenario.dt))
+        bounds = self.basis.bounds(self.inertia_lower, env.scenario.dt)
+        solver = self.make_solver(operator, actor.weight, Bounds(bounds.lower.to(device), bounds.upper.to(device)))
         recorder = Recorder(self.basis, operator, cost, trim, self.window, self.residual_floor)
         flight = self.experience.fly(env, state, actor, recorder)
         with torch.no_grad():

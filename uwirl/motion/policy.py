@@ -35,5 +35,5 @@ class LinkFramePolicy:
 
     def __call__(self, state: VehicleState, step: int) -> Tensor:
         xi = self.frame.relative(state)
-        tau = (self.trim + self.actor(xi.flatten(0, 1))).view(*xi.shape[:2], -1)
+        tau = (self.trim + self.actor(xi.flatten(0, 1))).view(*xi.shape[:2], -1).to(xi.dtype)
         return tau if self.excitation is None else tau + self.excitation[step]

@@ -38,7 +38,7 @@ def mission_figure(
     trajectory = evaluation.trajectory
     time = trajectory.time.numpy()
     eta, tau = trajectory.eta[:, 0].numpy(force=True), trajectory.tau[:, 0].numpy(force=True)
-    figure = plt.figure(figsize=(15.0, 11.5), layout="constrained")
+    figure = plt.figure(figsize=(16.0, 11.5), layout="constrained")
     panels = figure.add_gridspec(3, 3)
     _path_3d(figure.add_subplot(panels[0, 0], projection="3d"), scenario, eta)
     _path_top(figure.add_subplot(panels[0, 1]), scenario, eta)
@@ -93,7 +93,7 @@ def _path_top(axes: Axes, scenario: Scenario, eta: NDArray) -> None:
         x, y, psi = eta[:, i, 0], eta[:, i, 1], eta[:, i, 3]
         axes.plot(x, y, color=f"C{i}")
         some = np.linspace(0, len(x) // 2, 9).astype(int)
-        axes.quiver(x[some], y[some], np.cos(psi[some]), np.sin(psi[some]), color=f"C{i}", width=0.004, scale=18)
+        axes.quiver(x[some], y[some], np.cos(psi[some]), np.sin(psi[some]), width=0.006, scale=16, zorder=3)
         axes.plot(x[0], y[0], "o", color=f"C{i}", mfc="none")
         axes.plot(x[-1], y[-1], "o", color=f"C{i}")
     axes.set(xlabel="x (m)", ylabel="y (m)", title="(a) path from above, heading as arrows", aspect="equal")
@@ -126,7 +126,7 @@ def _series(axes: Axes, time: NDArray, values: NDArray, labels: Sequence[str], t
 def _weights(axes: Axes, seconds: NDArray, weights: NDArray, names: Sequence[str], title: str) -> None:
     for j, name in enumerate(names):
         axes.plot(seconds, weights[:, j], label=name, lw=1.0, color=plt.cm.tab20(j % 20))
-    axes.set_yscale("symlog", linthresh=1e-2 if np.abs(weights).max() < 1.0 else 1.0)
+    axes.set_yscale("symlog", linthresh=1e-2)
     axes.set(xlabel="vehicle time (s)", ylabel="weight", title=title)
-    axes.legend(fontsize=5.5, ncols=2, loc="upper right")
+    axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     axes.grid(alpha=0.3)

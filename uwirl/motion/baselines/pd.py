@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 
 from uwirl.irl.networks import LinearActor
-from uwirl.motion.experience import calibration_hover
+from uwirl.motion.calibration import calibration_hover
 from uwirl.motion.features import LinkFrameBasis
 from uwirl.motion.planner import CostFactory
 from uwirl.motion.policy import LinkFramePolicy, Policy
@@ -39,7 +39,7 @@ class PdPlanner:
         targets = mean_channel_targets(env.scenario, estimate)
         cost = self.make_cost(estimate, targets)
         (pu, pv, pw, pr), (du, dv, dw, dr) = self.position_gain, self.velocity_gain
-        gains = torch.tensor([[pu, pu, du, pv, pv, dv, 0.0, pw, dw, pr, dr, 0.0]]).to(targets.neighbours)
-        actor = LinearActor(LinkFrameBasis(cost, [self.saturation_m]), -gains)
+        gains = torch.tensor([[pu, pu, du, pv, pv, dv, 0.0, pw, dw, pr, dr, 0.0]], dtype=torch.float64)
+        actor = LinearActor(LinkFrameBasis(cost, [self.saturation_m]), -gains.to(targets.neighbours.device))
         _, trim = calibration_hover(env, actor, cost, self.calibration_s)
         return LinkFramePolicy(targets.frame, actor, trim)

@@ -1,0 +1,45 @@
+"""The hover that comes before anything else: is the policy admissible, and what trim does it take?"""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from uwirl.irl.networks import LinearActor
+from uwirl.irl.policy_iteration import InadmissiblePolicyError
+from uwirl.motion.cost import RelayCost
+from uwirl.motion.link_frame import LinkFrame
+from uwirl.motion.policy import LinkFramePolicy
+from uwirl.world.relay import Relay
+from uwirl.world.vehicle import VehicleState
+
+
+def calibration_hover(env: Relay, actor: LinearActor, cost: RelayCost, seconds: float) -> tuple[VehicleState, Tensor]:
+    """Hold a point 1 m ahead and 1 m abeam with the start policy: what trim does it take, and is the policy admissible?
+
+    Args:
+        env: the worlds.
+        actor: the start policy.
+        cost: the learner's running cost.
+        seconds: duration, s.
+
+    Returns:
+        The state afterwards, and tau_trim [L, 4], the mean control over the last quarter of the hover.
+
+    Raises:
+        InadmissiblePolicyError: the cost grew instead of falling.
+    """
+    state = env.reset()
+    steps = round(seconds / env.scenario.dt)
+    quarter = steps // 4
+    pose = state.components.new_tensor([1.0, 1.0, 0.0, 0.0]).expand(*state.components.shape[1:], 4)
+    frame = LinkFrame.seen_as(state, pose)
+    no_trim = actor.weight.new_zeros(4)
+    trajectory = env.rollout(LinkFramePolicy(frame, actor, no_trim), state, steps)
+    running = cost.state(frame.relative(trajectory.states)).flatten(1)
+    before, after = float(running[:quarter].mean()), float(running[-quarter:].mean())
+    if not after < before:
+        raise InadmissiblePolicyError(
+            f"planner: the start policy is not admissible: holding a point 1.4 m away, its running cost grew from "
+            f"{before:.3g} to {after:.3g} in {seconds:g} s; start from a damped policy (planner.start_gain > 0)"
+        )
+    return trajectory.last, trajectory.tau[-quarter:].double().mean(0).flatten(0, 1)
