@@ -12,7 +12,7 @@ from torch import Tensor
 
 from uwirl.irl.bellman import BellmanOperator
 from uwirl.irl.networks import LinearActor, LinearCritic
-from uwirl.irl.policy_iteration import IterationRecord, StoppingRule, policy_iteration
+from uwirl.irl.policy_iteration import InsufficientDataError, IterationRecord, StoppingRule, policy_iteration
 from uwirl.irl.solvers import Bounds, Experience, Solver
 from uwirl.motion.calibration import calibration_hover
 from uwirl.motion.cost import RelayCost
@@ -118,7 +118,11 @@ class IrlPlanner(LearningPlanner):
         solver = self.make_solver(operator, actor.weight, Bounds(bounds.lower.to(device), bounds.upper.to(device)))
         recorder = Recorder(self.basis, operator, cost, trim, self.window, self.residual_floor)
         flight = self.experience.fly(env, state, actor, recorder)
-        with torch.no_grad():
-            yield from policy_iteration(
-                flight, solver, actor, critic, self.updates, self.stopping, seconds=self.calibration_s
-            )
+        iterations = policy_iteration(
+            flight, solver, actor, critic, self.updates, self.stopping, seconds=self.calibration_s
+        )
+        try:
+            with torch.no_grad():
+                yield from iterations
+        except InsufficientDataError as error:
+            raise InsufficientDataError(f"planner.max_time_s: {error}") from None
