@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import tempfile
 import warnings
@@ -39,10 +40,9 @@ def _replace(path: Path, content: bytes) -> None:
 def save(path: Path, content: dict[str, Any]) -> None:
     """Save tensors, numbers, strings, lists and dictionaries of them, with a sha256 beside the file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.SpooledTemporaryFile() as buffer:
-        torch.save({"format_version": FORMAT_VERSION, **content}, buffer)
-        buffer.seek(0)
-        data = buffer.read()
+    buffer = io.BytesIO()
+    torch.save({"format_version": FORMAT_VERSION, **content}, buffer)
+    data = buffer.getvalue()
     # The digest goes first: a crash between the two leaves a mismatch that is noticed, never a silent mix.
     _replace(_digest_file(path), f"{hashlib.sha256(data).hexdigest()}  {path.name}\n".encode())
     _replace(path, data)
