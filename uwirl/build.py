@@ -11,6 +11,7 @@ from torch import Tensor
 from uwirl.config.schema import (
     Config,
     CostConfig,
+    EnergyGuardConfig,
     ExperienceConfig,
     IrlConfig,
     LeastSquaresSolverConfig,
@@ -30,10 +31,12 @@ from uwirl.motion.excitation import Excitation, PoseDraw
 from uwirl.motion.experience import Parallel, VirtualLinks, Window
 from uwirl.motion.features import ErrorBasis, LinkFrameBasis, MotionBasis
 from uwirl.motion.planner import CostFactory, ExperienceSource, IrlPlanner, Planner
+from uwirl.motion.safety import EnergyGuard, Guard, unguarded
 from uwirl.motion.targets import ChainTargets
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.estimators import ESTIMATORS, Estimator
 from uwirl.world.acoustics import Channel
+from uwirl.world.obstacles import Obstacles, no_obstacles
 from uwirl.world.random import RandomStreams
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario, spread_sensors
@@ -57,9 +60,36 @@ def make_scenario(config: Config) -> Scenario:
         destination=tensor(scenario.destination_m),
         start=tensor(scenario.start),
         sensors=sensors,
+        obstacles=_obstacles(config),
+        vehicle_radius=scenario.vehicle_radius_m,
         dt=scenario.dt_s,
         duration=scenario.duration_s,
     )
+
+
+def _obstacles(config: Config) -> Obstacles:
+    obstacles, dtype, device = config.scenario.obstacles, getattr(torch, config.dtype), config.device
+    if not obstacles:
+        return no_obstacles(dtype, device)
+
+    def tensor(values: list) -> Tensor:
+        return torch.tensor(values, dtype=dtype, device=device)
+
+    return Obstacles(
+        centre=tensor([obstacle.center_m for obstacle in obstacles]),
+        radius=tensor([obstacle.radius_m for obstacle in obstacles]),
+        influence=tensor([obstacle.influence_m for obstacle in obstacles]),
+        velocity=tensor([obstacle.velocity_mps for obstacle in obstacles]),
+        present=torch.ones(len(obstacles), dtype=torch.bool, device=device),
+    )
+
+
+def make_guard(config: Config) -> Guard:
+    """What stands between policy and thrusters."""
+    safety = config.safety
+    if not isinstance(safety, EnergyGuardConfig):
+        return unguarded
+    return EnergyGuard(safety.margin_m, safety.alpha, safety.mass_upper_kg, safety.mass_lower_kg, safety.brake_force_N)
 
 
 def make_relay(config: Config, streams: RandomStreams | None = None) -> Relay:
@@ -75,7 +105,7 @@ def make_estimator(config: Config) -> Estimator:
 
 def make_cost(config: CostConfig, channel: Channel, targets: ChainTargets, tau_max: Tensor) -> RelayCost:
     """The running cost on a channel: the estimate to learn from, the truth to be judged by."""
-    return RelayCost(channel, targets.neighbours, config.beta_1, config.yaw_weight, config.R, tau_max)
+    return RelayCost(channel, targets.neighbours, config.beta_1, config.beta_2, config.yaw_weight, config.R, tau_max)
 
 
 def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
@@ -86,7 +116,12 @@ def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
 
     if isinstance(planner, PdConfig):
         return PdPlanner(
-            cost, planner.position_gain, planner.velocity_gain, planner.saturation_m, planner.calibration_s
+            cost,
+            planner.position_gain,
+            planner.velocity_gain,
+            planner.saturation_m,
+            planner.calibration_s,
+            make_guard(config),
         )
     assert isinstance(planner, IrlConfig)
     return _irl_planner(config, planner, env, cost)
@@ -119,6 +154,7 @@ def _irl_planner(config: Config, planner: IrlConfig, env: Relay, cost: CostFacto
         residual_floor=planner.residual_floor,
         updates=planner.updates,
         stopping=StoppingRule(planner.tolerance_weights, planner.max_time_s),
+        guard=make_guard(config),
     )
 
 

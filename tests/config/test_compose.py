@@ -22,13 +22,14 @@ GROUPS = [
     "estimator",
     "basis",
     "cost",
+    "safety",
     "solver",
     "planner",
     "experience",
     "logging",
 ]
 FILES = [(group, path.stem) for group in GROUPS for path in sorted((folder() / group).glob("*.yaml"))]
-NAMED = ["estimator", "basis", "solver", "planner", "experience"]
+NAMED = ["estimator", "basis", "safety", "solver", "planner", "experience"]
 
 
 @pytest.mark.parametrize(("group", "name"), FILES, ids=["/".join(file) for file in FILES])

@@ -7,10 +7,12 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
 from uwirl.config.schema import Config
-from uwirl.config.validate import RK4_STABILITY, ConfigError, validate
+from uwirl.config.validate import ConfigError, validate
+from uwirl.config.world_rules import RK4_STABILITY
 
 PAIR = "scenario.start=[[0,0,-5,0],[5,5,-5,0]]"
 HOVER_AND_LEG = "planner.calibration_s=15 experience.leg_s=5 planner.max_time_s"
+CYLINDER = "scenario.obstacles=[{{center_m:{},radius_m:{},influence_m:6}}]"
 PARALLEL = "experience=parallel"
 SENSORS = "scenario.sensors=[[0,0,-8],[5,0,-8],{}]"
 
@@ -137,6 +139,18 @@ RULES = [
     ("scenario.dt_s=1e-310", "scenario.duration_s", "more than 1,000,000 steps"),
     ("seed=-1", "seed", "must lie in [0, 2^63)"),
     ("device=gpu", "device", "'gpu' is none of cpu, cuda, mps"),
+    (f"{CYLINDER.format('[29.5,28.5]', 1)}", "scenario.obstacles[0]", "to the start of vehicle 0"),
+    (f"{CYLINDER.format('[1,0]', 1)}", "scenario.obstacles[0]", "to the target"),
+    (f"{CYLINDER.format('[9,9]', 0)}", "scenario.obstacles[0].radius_m", "must be greater than 0"),
+    (f"{CYLINDER.format('[9,9]', 7)}", "scenario.obstacles[0].influence_m", "must exceed radius_m = 7"),
+    (f"{CYLINDER.format('[9]', 1)}", "scenario.obstacles[0].center_m", "needs 2 finite numbers"),
+    ("scenario.vehicle_radius_m=0", "scenario.vehicle_radius_m", "must be greater than 0"),
+    ("cost.beta_2=-1", "cost.beta_2", "must be at least 0"),
+    ("safety.margin_m=-0.1", "safety.margin_m", "must be at least 0"),
+    ("safety.alpha=0", "safety.alpha", "must be greater than 0"),
+    ("safety.mass_upper_kg=5", "safety.mass_upper_kg", "lies below safety.mass_lower_kg = 12"),
+    ("safety.brake_force_N=90", "safety.brake_force_N", "exceeds the horizontal thrust of 85 N"),
+    ("safety.name=none", "safety.name", "choose it with safety=none"),
     ("threads=0", "threads", "must be at least 1, got 0"),
     ("dtype=float46", "dtype", "did you mean 'float64'?"),
 ]

@@ -147,3 +147,14 @@ def test_poses_fill_their_box():
     # A fifth of the legs, plus those of the rest that happen to be close by.
     near = (pose[:, 0].abs() < 0.15 * 44.0) & (pose[:, 1].abs() < 0.15 * 17.6)
     assert float(near.double().mean()) == pytest.approx(0.2 + 0.8 * 0.15**2, abs=0.01)
+
+
+def test_learning_in_a_ring_of_obstacles_touches_none(learn):
+    """Eight cylinders around the start: the guard holds while learning, and without it the vehicle runs into them."""
+    ring = [(29.5 + 6.0 * math.cos(k * math.pi / 4), 29.5 + 6.0 * math.sin(k * math.pi / 4)) for k in range(8)]
+    cylinders = ",".join(f"{{center_m:[{x},{y}],radius_m:1,influence_m:5}}" for x, y in ring)
+    overrides = (*SHORT, f"scenario.obstacles=[{cylinders}]")
+    _, guarded, _ = learn(*overrides)
+    _, reckless, _ = learn(*overrides, "safety=none")
+    assert guarded.recorder.contacts == 0
+    assert reckless.recorder.contacts > 0

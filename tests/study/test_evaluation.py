@@ -22,7 +22,9 @@ def evaluation_of(capacity: list[float], optimum: float = 100.0, dt: float = 0.5
     tau[..., 0] = 3.0
     links = torch.tensor(capacity, dtype=torch.float64)[:, None, None] + torch.tensor([0.0, 5.0], dtype=torch.float64)
     cost = {"link": torch.tensor([1.5]), "vehicle": torch.tensor([0.25]), "control": torch.tensor([0.5])}
-    return Evaluation(Trajectory(components, tau, dt), links, optimum, cost)
+    clearance = torch.full((n + 1, 1, 1), 0.5)
+    clearance[1] = -0.25
+    return Evaluation(Trajectory(components, tau, dt), links, optimum, clearance, cost)
 
 
 @pytest.mark.parametrize(
@@ -46,6 +48,8 @@ def test_metrics():
     assert metrics["path_length_m"] == 2.0  # to t99 = 1 s, two steps
     assert metrics["energy_J"] == pytest.approx(3.0 * 2.0 * 2.0)  # 6 W for 2 s
     assert metrics["cost_total"] == pytest.approx(2.25)
+    assert metrics["collisions"] == 1
+    assert metrics["min_obstacle_clearance_m"] == -0.25
     assert metrics["final_position_m"] == [[4.0, 0.0, 0.0]]
 
 
@@ -73,3 +77,15 @@ def test_worlds_are_evaluated_one_by_one(make_config, make_relay):
     together = evaluate(env, policy, cost, targets, VehicleState.from_eta_nu(eta)).cost
     alone = torch.cat([evaluate(env, policy, cost, targets, VehicleState.from_eta_nu(e[None])).cost for e in eta])
     torch.testing.assert_close(together, alone, rtol=1e-12, atol=0)
+
+
+def test_obstacle_term_of_a_resting_vehicle(make_config, make_relay):
+    """beta_2 (1/l - 1/rho_o)^2 times 5 s, 3 m from an axis with an influence radius of 6 m."""
+    cylinder = "scenario.obstacles=[{center_m:[29.5,26.5],radius_m:1,influence_m:6}]"
+    overrides = ("scenario.duration_s=5", cylinder, "cost.beta_2=2")
+    config, env = make_config(*overrides), make_relay(*overrides)
+    targets = mean_channel_targets(env.scenario, oracle(take_readings(env), env.channel))
+    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
+    evaluation = evaluate(env, lambda state, step: env.vehicle.trim.expand(1, 1, 4), cost, targets, env.reset())
+    assert float(evaluation.cost_terms["obstacle"][0]) == pytest.approx(2.0 * 5.0 * (1 / 3 - 1 / 6) ** 2, rel=1e-9)
+    assert evaluation.metrics()["min_obstacle_clearance_m"] == pytest.approx(3.0 - 1.0 - 0.3)

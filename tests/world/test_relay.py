@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from uwirl.world.acoustics import Channel
+from uwirl.world.obstacles import no_obstacles
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import DivergedError, Relay
 from uwirl.world.scenario import Scenario, spread_sensors
@@ -29,7 +30,9 @@ def tensor(values: list) -> Tensor:
 def env(make_config) -> Relay:
     """Two vehicles between the paper's nodes."""
     config = make_config()
-    scenario = Scenario(tensor(SOURCE), tensor(DESTINATION), tensor(START), torch.zeros(0, 3), 0.05, 80.0)
+    scenario = Scenario(
+        tensor(SOURCE), tensor(DESTINATION), tensor(START), torch.zeros(0, 3), no_obstacles(), 0.3, 0.05, 80.0
+    )
     streams = RandomStreams.worlds(11, WORLDS)
     return Relay(scenario, Vehicle(**asdict(config.vehicle)), Channel(**asdict(config.channel)), streams)
 

@@ -100,6 +100,7 @@ def _algorithm_1(config: Config, folder: Path) -> dict[str, Any]:
         metrics |= _learning_metrics(config, records, evaluation) | {
             "cost_total_start_policy": float(start.cost[0]),
             "cost_per_iteration": costs,
+            "learning_collisions": planner.recorder.contacts,
         }
         checkpoint.save(folder / "checkpoints" / "last.pt", _checkpoint(config, estimate, records[-1], metrics))
         if board:
@@ -148,9 +149,10 @@ class _Judge:
         truth = oracle(take_readings(env), env.channel)
         self.targets = mean_channel_targets(env.scenario, truth)
         self.cost = build.make_cost(config.cost, env.channel, self.targets, env.vehicle.tau_max)
+        self.guard = build.make_guard(config)
 
     def fly(self, policy: Policy) -> Evaluation:
-        return evaluate(self.env, policy, self.cost, self.targets, self.env.reset())
+        return evaluate(self.env, self.guard(self.env, policy), self.cost, self.targets, self.env.reset())
 
     def iterates(self, planner: LearningPlanner, records: list[IterationRecord]) -> tuple[Evaluation, list[float]]:
         """The start policy's mission, and J of every iterate."""
@@ -160,7 +162,7 @@ class _Judge:
         planner.policy.actor.weight.copy_(learned)
         weights = torch.cat([record.actor[:1] for record in records])
         starts = self.env.scenario.start[None]
-        costs = cost_of_weights(self.env, planner.policy, weights, self.cost, self.targets, starts)
+        costs = cost_of_weights(self.env, planner.policy, weights, self.cost, self.targets, starts, self.guard)
         return start, costs[:, 0].tolist()
 
     def baseline(self, estimate: ChannelEstimate) -> dict[str, Evaluation]:

@@ -10,12 +10,22 @@ from omegaconf import MISSING
 
 
 @dataclass
+class ObstacleConfig:
+    center_m: list[float] = MISSING  # [x, y] of a vertical cylinder's axis
+    radius_m: float = MISSING
+    influence_m: float = MISSING  # where the avoidance term of the cost begins
+    velocity_mps: list[float] = field(default_factory=lambda: [0.0, 0.0])
+
+
+@dataclass
 class ScenarioConfig:
     source_m: list[float] = MISSING  # [x, y, z], z up
     destination_m: list[float] = MISSING
     # eta of each vehicle, m and rad; not list[list[float]], which would refuse [0, 0, -5, 1]
     start: list[Any] = MISSING
     sensors: Any = MISSING  # a number, spread by the seed, or a list of [x, y, z] in m
+    obstacles: list[ObstacleConfig] = field(default_factory=list)
+    vehicle_radius_m: float = MISSING
     dt_s: float = MISSING
     duration_s: float = MISSING
 
@@ -57,8 +67,23 @@ class BasisConfig:
 @dataclass
 class CostConfig:
     beta_1: float = MISSING  # (kbit/s)^2
+    beta_2: float = MISSING  # m^2
     yaw_weight: float = MISSING
     R: list[float] = MISSING  # of tau / tau_max
+
+
+@dataclass
+class SafetyConfig:
+    name: str = MISSING  # energy | none
+
+
+@dataclass
+class EnergyGuardConfig(SafetyConfig):
+    margin_m: float = MISSING
+    alpha: float = MISSING  # 1/s
+    mass_upper_kg: float = MISSING
+    mass_lower_kg: float = MISSING
+    brake_force_N: float = MISSING
 
 
 @dataclass
@@ -147,6 +172,7 @@ class Config:
     estimator: EstimatorConfig = MISSING
     basis: BasisConfig = MISSING
     cost: CostConfig = MISSING
+    safety: SafetyConfig = MISSING
     solver: SolverConfig = MISSING
     experience: ExperienceConfig = MISSING
     planner: PlannerConfig = MISSING
@@ -169,6 +195,7 @@ def register() -> None:
         "estimator": {"schema": EstimatorConfig},
         "basis": {"schema": BasisConfig},
         "cost": {"schema": CostConfig},
+        "safety": {"schema": SafetyConfig, "energy_schema": EnergyGuardConfig},
         "solver": {"least_squares_schema": LeastSquaresSolverConfig, "rls_schema": RlsSolverConfig},
         "experience": {"virtual_links_schema": VirtualLinksConfig, "parallel_schema": ParallelConfig},
         "planner": {"irl_schema": IrlConfig, "pd_schema": PdConfig},

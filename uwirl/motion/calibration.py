@@ -9,11 +9,14 @@ from uwirl.irl.policy_iteration import InadmissiblePolicyError
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.link_frame import LinkFrame
 from uwirl.motion.policy import LinkFramePolicy
+from uwirl.motion.safety import Guard
 from uwirl.world.relay import Relay
 from uwirl.world.vehicle import VehicleState
 
 
-def calibration_hover(env: Relay, actor: LinearActor, cost: RelayCost, seconds: float) -> tuple[VehicleState, Tensor]:
+def calibration_hover(
+    env: Relay, actor: LinearActor, cost: RelayCost, seconds: float, guard: Guard
+) -> tuple[VehicleState, Tensor]:
     """Hold a point 1 m ahead and 1 m abeam with the start policy: what trim does it take, and is the policy admissible?
 
     Args:
@@ -21,6 +24,7 @@ def calibration_hover(env: Relay, actor: LinearActor, cost: RelayCost, seconds: 
         actor: the start policy.
         cost: the learner's running cost.
         seconds: duration, s.
+        guard: between policy and thrusters.
 
     Returns:
         The state afterwards, and tau_trim [L, 4], the mean control over the last quarter of the hover.
@@ -34,7 +38,7 @@ def calibration_hover(env: Relay, actor: LinearActor, cost: RelayCost, seconds: 
     pose = state.components.new_tensor([1.0, 1.0, 0.0, 0.0]).expand(*state.components.shape[1:], 4)
     frame = LinkFrame.seen_as(state, pose)
     no_trim = actor.weight.new_zeros(4)
-    trajectory = env.rollout(LinkFramePolicy(frame, actor, no_trim), state, steps)
+    trajectory = env.rollout(guard(env, LinkFramePolicy(frame, actor, no_trim)), state, steps)
     running = cost.state(frame.relative(trajectory.states)).flatten(1)
     before, after = float(running[:quarter].mean()), float(running[-quarter:].mean())
     if not after < before:

@@ -1,6 +1,7 @@
 """The running cost of stage 2 (37), zero at rest at the optimum.
 
-    g = beta_1 (1/C^2 - 1/C_max^2) + yaw_weight (1 - cos psi~) + sum_k R_k ((tau_k - tau_trim,k) / tau_max,k)^2
+    g = beta_1 (1/C^2 - 1/C_max^2) + beta_2 E_O + yaw_weight (1 - cos psi~)
+        + sum_k R_k ((tau_k - tau_trim,k) / tau_max,k)^2
 
 C is the smaller mean capacity of a vehicle's two links with its neighbours at their targets, C_max the one at its own
 target.
@@ -23,6 +24,7 @@ class RelayCost:
         channel: the channel to count on: the estimate when learning, the truth when evaluating.
         neighbours: positions of a vehicle's two neighbours in its link frame, [..., M, 2, 3], m.
         beta_1: weight of the link cost, (kbit/s)^2.
+        beta_2: weight of the avoidance term, m^2.
         yaw_weight: without this small term the optimal yaw weights are zero.
         R: control weights of an effort normalised by the thruster limits, [4].
         tau_max: [4].
@@ -33,6 +35,7 @@ class RelayCost:
         channel: Channel,
         neighbours: Tensor,
         beta_1: float,
+        beta_2: float,
         yaw_weight: float,
         R: Sequence[float],
         tau_max: Tensor,
@@ -40,6 +43,7 @@ class RelayCost:
         self.channel = channel
         self.neighbours = neighbours
         self.beta_1 = beta_1
+        self.beta_2 = beta_2
         self.yaw_weight = yaw_weight
         # In newtons, R would make 0.16 m/s optimal and the mission would never end.
         self.R = torch.tensor(list(R), dtype=tau_max.dtype, device=tau_max.device) / tau_max**2
@@ -62,8 +66,15 @@ class RelayCost:
         """The yaw term, [..., M]."""
         return self.yaw_weight * (1.0 - torch.cos(xi[..., 3]))
 
+    def obstacle(self, avoidance: Tensor) -> Tensor:
+        """The avoidance term, [..., M], of E_O [..., M].
+
+        A virtual link moves its frame, obstacles stay: so this is no function of xi and no part of `state`.
+        """
+        return self.beta_2 * avoidance
+
     def state(self, xi: Tensor) -> Tensor:
-        """q, all that does not depend on control, [..., M]."""
+        """All of q that depends on xi alone, [..., M]."""
         return self.link(xi) + self.yaw(xi)
 
     def control(self, effort: Tensor) -> Tensor:

@@ -21,6 +21,8 @@ from uwirl.motion.excitation import Excitation, PoseDraw
 from uwirl.motion.features import MotionBasis
 from uwirl.motion.link_frame import LinkFrame, relabel
 from uwirl.motion.policy import LinkFramePolicy
+from uwirl.motion.safety import Guard
+from uwirl.world.obstacles import contacts
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay, Trajectory
 from uwirl.world.vehicle import VehicleState
@@ -62,6 +64,13 @@ class Recorder:
         self.trim = trim
         self.window = window
         self.floor = residual_floor * cost.scale.mean()
+        self.contacts = 0
+
+    def watch(self, env: Relay, trajectory: Trajectory) -> None:
+        """Count the contacts with obstacles while learning."""
+        self.contacts += int(
+            contacts(env.scenario.clearance(trajectory.states.position, trajectory.time[:, None])).sum()
+        )
 
     def segment(self, xi: Tensor, tau: Tensor, dt: float) -> Segment:
         """Windows [S, ...] of xi [n + 1, ..., 8] under held tau [n, ..., 4]."""
@@ -95,7 +104,9 @@ class VirtualLinks:
     excitation: Excitation
     pose: PoseDraw
 
-    def fly(self, env: Relay, state: VehicleState, actor: LinearActor, recorder: Recorder) -> Iterator[Experience]:
+    def fly(
+        self, env: Relay, state: VehicleState, actor: LinearActor, recorder: Recorder, guard: Guard
+    ) -> Iterator[Experience]:
         """Stretches of experience, one a leg, flown with whatever the actor's weights are at the time.
 
         The B M vehicles of the state learn independently, L = B M.
@@ -105,7 +116,7 @@ class VirtualLinks:
         leg = 0
         while True:
             pose = self.pose.draw(env.streams, Stream.INITIAL_STATE, leg * (1 + self.relabel))
-            trajectory, xi = _fly_leg(env, state, pose, actor, recorder.trim, self.excitation, leg, steps)
+            trajectory, xi = _fly_leg(env, state, pose, actor, recorder, self.excitation, guard, leg, steps)
             tau = trajectory.tau.flatten(1, 2)
             weight = math.exp(-(leg + 1) * self.leg_s / self.relabel_time_s) if self.relabel else 0.0
             relabelled = None
@@ -137,7 +148,9 @@ class Parallel:
     excitation: Excitation
     pose: PoseDraw
 
-    def fly(self, env: Relay, state: VehicleState, actor: LinearActor, recorder: Recorder) -> Iterator[Experience]:
+    def fly(
+        self, env: Relay, state: VehicleState, actor: LinearActor, recorder: Recorder, guard: Guard
+    ) -> Iterator[Experience]:
         """Stretches of experience; the vehicle seconds of all worlds are counted. One learner, L = 1."""
         dt = env.scenario.dt
         steps = round(self.leg_s / dt)
@@ -149,7 +162,7 @@ class Parallel:
         leg = 0
         while True:
             pose = self.pose.draw(streams, Stream.INITIAL_STATE, leg)
-            trajectory, xi = _fly_leg(env, state, pose, actor, recorder.trim, self.excitation, leg, steps)
+            trajectory, xi = _fly_leg(env, state, pose, actor, recorder, self.excitation, guard, leg, steps)
             windows = recorder.segment(xi, trajectory.tau.flatten(1, 2), dt)
             pooled = Segment(*(part.flatten(0, 1).unsqueeze(1) for part in windows))
             yield Experience(pooled, None, 0.0, self.worlds * self.leg_s)
@@ -162,8 +175,9 @@ def _fly_leg(
     state: VehicleState,
     pose: Tensor,
     actor: LinearActor,
-    trim: Tensor,
+    recorder: Recorder,
     excitation: Excitation,
+    guard: Guard,
     leg: int,
     steps: int,
 ) -> tuple[Trajectory, Tensor]:
@@ -172,5 +186,7 @@ def _fly_leg(
     dtype = state.components.dtype
     frame = LinkFrame.seen_as(state, pose.to(dtype).view(B, M, 4))
     wave = excitation.draw(env.streams, leg, steps, env.scenario.dt).to(dtype).view(steps, B, M, 4)
-    trajectory = env.rollout(LinkFramePolicy(frame, actor, trim, wave), state, steps)
+    policy = guard(env, LinkFramePolicy(frame, actor, recorder.trim, wave))
+    trajectory = env.rollout(policy, state, steps)
+    recorder.watch(env, trajectory)
     return trajectory, frame.relative(trajectory.states).flatten(1, 2).double()

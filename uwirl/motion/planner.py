@@ -19,6 +19,7 @@ from uwirl.motion.cost import RelayCost
 from uwirl.motion.experience import Recorder, Window
 from uwirl.motion.features import MotionBasis
 from uwirl.motion.policy import LinkFramePolicy, Policy
+from uwirl.motion.safety import Guard
 from uwirl.motion.targets import ChainTargets, mean_channel_targets
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.world.relay import Relay
@@ -38,11 +39,13 @@ class LearningPlanner(ABC):
         policy: the newest policy.
         basis: its features.
         start_weights: what it started from, [L, n3].
+        recorder: has counted the contacts while learning.
     """
 
     policy: LinkFramePolicy
     basis: MotionBasis
     start_weights: Tensor
+    recorder: Recorder
 
     @abstractmethod
     def iterate(self, env: Relay, estimate: ChannelEstimate) -> Iterator[IterationRecord]:
@@ -58,7 +61,9 @@ class LearningPlanner(ABC):
 class ExperienceSource(Protocol):
     """Flies the newest policy and yields what it learned from."""
 
-    def fly(self, env: Relay, state: VehicleState, actor: LinearActor, recorder: Recorder) -> Iterator[Experience]: ...
+    def fly(
+        self, env: Relay, state: VehicleState, actor: LinearActor, recorder: Recorder, guard: Guard
+    ) -> Iterator[Experience]: ...
 
 
 CostFactory = Callable[[ChannelEstimate, ChainTargets], RelayCost]
@@ -82,6 +87,7 @@ class IrlPlanner(LearningPlanner):
         residual_floor: see Recorder.
         updates: policy iterations per stretch of experience.
         stopping: epsilon_3 and T_max,2; the hover counts towards the time.
+        guard: between policy and thrusters while learning.
     """
 
     make_cost: CostFactory
@@ -97,6 +103,7 @@ class IrlPlanner(LearningPlanner):
     residual_floor: float
     updates: int
     stopping: StoppingRule
+    guard: Guard
 
     def iterate(self, env: Relay, estimate: ChannelEstimate) -> Iterator[IterationRecord]:
         """Learn; see `policy_iteration` for what is raised."""
@@ -109,15 +116,15 @@ class IrlPlanner(LearningPlanner):
         actor = LinearActor(self.basis, start.to(device))
         critic = LinearCritic(self.basis, self.learners).to(device)
         self.start_weights = actor.weight.clone()
-        state, trim = calibration_hover(env, actor, cost, self.calibration_s)
+        state, trim = calibration_hover(env, actor, cost, self.calibration_s, self.guard)
         if self.learners == 1:
             trim = trim.mean(0, keepdim=True)
         self.policy = LinkFramePolicy(targets.frame, actor, trim)
         operator = BellmanOperator(len(self.basis.critic_names), actor.sizes, cost.R, actor_sign=self.actor_sign)
         bounds = self.basis.bounds(self.inertia_lower, env.scenario.dt)
         solver = self.make_solver(operator, actor.weight, Bounds(bounds.lower.to(device), bounds.upper.to(device)))
-        recorder = Recorder(self.basis, operator, cost, trim, self.window, self.residual_floor)
-        flight = self.experience.fly(env, state, actor, recorder)
+        self.recorder = Recorder(self.basis, operator, cost, trim, self.window, self.residual_floor)
+        flight = self.experience.fly(env, state, actor, self.recorder, self.guard)
         iterations = policy_iteration(
             flight, solver, actor, critic, self.updates, self.stopping, seconds=self.calibration_s
         )

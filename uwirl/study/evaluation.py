@@ -10,7 +10,9 @@ from torch import Tensor
 from uwirl.irl.networks import LinearActor
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.policy import LinkFramePolicy, Policy
+from uwirl.motion.safety import Guard, unguarded
 from uwirl.motion.targets import ChainTargets
+from uwirl.world.obstacles import contacts
 from uwirl.world.relay import Relay, Trajectory
 from uwirl.world.vehicle import VehicleState
 
@@ -23,12 +25,14 @@ class Evaluation:
         trajectory: what was flown.
         link_capacity: mean capacity of each link, [n + 1, B, M + 1], kbit/s.
         optimal_capacity: of the chain at its targets, kbit/s.
-        cost_terms: J of each world by term (link, vehicle, control), [B] each.
+        clearance: of each vehicle to the nearest obstacle, [n + 1, B, M], m; infinite in free water.
+        cost_terms: J of each world by term (link, obstacle, vehicle, control), [B] each.
     """
 
     trajectory: Trajectory
     link_capacity: Tensor
     optimal_capacity: float
+    clearance: Tensor
     cost_terms: dict[str, Tensor]
 
     @property
@@ -64,6 +68,8 @@ class Evaluation:
             "link_capacity_final_kbps": self.link_capacity[-1, world].tolist(),
             "time_to_99_percent_s": t99,
             "final_position_m": eta[-1, :, :3].tolist(),
+            "collisions": int(contacts(self.clearance[:, world]).sum()),
+            "min_obstacle_clearance_m": float(self.clearance[:, world].min()),
             "path_length_m": float(travelled),
             "energy_J": float(power.sum()) * self.trajectory.dt,
             "cost_total": float(self.cost[world]),
@@ -89,12 +95,15 @@ def evaluate(env: Relay, policy: Policy, cost: RelayCost, targets: ChainTargets,
         return torch.trapezoid(q, dx=dt, dim=0).sum(-1)
 
     effort = trajectory.tau - env.vehicle.trim
+    position, time = trajectory.states.position, trajectory.time[:, None]
     return Evaluation(
         trajectory=trajectory,
-        link_capacity=env.link_capacities_kbps(trajectory.states.position),
+        link_capacity=env.link_capacities_kbps(position),
         optimal_capacity=float(env.link_capacities_kbps(targets.frame.target).amin()),
+        clearance=env.scenario.clearance(position, time),
         cost_terms={
             "link": trapezoid(cost.link(xi)),
+            "obstacle": trapezoid(cost.obstacle(env.scenario.obstacles.avoidance(position, time))),
             "vehicle": trapezoid(cost.yaw(xi)),
             # Held over each step, so the sum is exact.
             "control": cost.control(effort).sum((0, -1)) * dt,
@@ -103,7 +112,13 @@ def evaluate(env: Relay, policy: Policy, cost: RelayCost, targets: ChainTargets,
 
 
 def cost_of_weights(
-    env: Relay, policy: LinkFramePolicy, weights: Tensor, cost: RelayCost, targets: ChainTargets, starts: Tensor
+    env: Relay,
+    policy: LinkFramePolicy,
+    weights: Tensor,
+    cost: RelayCost,
+    targets: ChainTargets,
+    starts: Tensor,
+    guard: Guard = unguarded,
 ) -> Tensor:
     """J of K sets of actor weights from Q starts, all flown as one batch.
 
@@ -113,6 +128,7 @@ def cost_of_weights(
         weights: [K, n3].
         cost, targets: on the true channel.
         starts: eta, [Q, M, 4].
+        guard: between policy and thrusters.
 
     Returns:
         [K, Q].
@@ -121,4 +137,4 @@ def cost_of_weights(
     state = VehicleState.from_eta_nu(starts.repeat(K, 1, 1))
     actor = LinearActor(policy.actor.basis, weights.repeat_interleave(Q * M, 0))
     flown = LinkFramePolicy(policy.frame, actor, policy.trim[:1])
-    return evaluate(env, flown, cost, targets, state).cost.view(K, Q)
+    return evaluate(env, guard(env, flown), cost, targets, state).cost.view(K, Q)

@@ -79,6 +79,11 @@ def _path_3d(axes: Axes, scenario: Scenario, eta: NDArray) -> None:
         axes.plot(*eta[:, i, :3].T, color=f"C{i}", label=f"vehicle {i + 1}")
         axes.plot(*eta[:1, i, :3].T, "o", color=f"C{i}", mfc="none")
         axes.plot(*eta[-1:, i, :3].T, "o", color=f"C{i}")
+    angle, height = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 24), [min(eta[..., 2].min(), *nodes[:, 2]), 0.0])
+    for (x, y), radius, _ in _cylinders(scenario):
+        axes.plot_surface(  # type: ignore[attr-defined]
+            x + radius * np.cos(angle), y + radius * np.sin(angle), height, color="tab:gray", alpha=0.4
+        )
     axes.set(xlabel="x (m)", ylabel="y (m)", title="(a) path")
     axes.set_zlabel("z (m)")  # type: ignore[attr-defined]
     axes.legend(fontsize=8)
@@ -96,8 +101,18 @@ def _path_top(axes: Axes, scenario: Scenario, eta: NDArray) -> None:
         axes.quiver(x[some], y[some], np.cos(psi[some]), np.sin(psi[some]), width=0.006, scale=16, zorder=3)
         axes.plot(x[0], y[0], "o", color=f"C{i}", mfc="none")
         axes.plot(x[-1], y[-1], "o", color=f"C{i}")
+    for centre, radius, influence in _cylinders(scenario):
+        axes.add_patch(plt.Circle(centre, radius, color="tab:gray"))
+        axes.add_patch(plt.Circle(centre, influence, color="tab:gray", fill=False, ls=":"))
     axes.set(xlabel="x (m)", ylabel="y (m)", title="(a) path from above, heading as arrows", aspect="equal")
     axes.grid(alpha=0.3)
+
+
+def _cylinders(scenario: Scenario) -> list[tuple[tuple[float, float], float, float]]:
+    """Centre at time 0, radius and influence radius of each obstacle, m."""
+    obstacles = scenario.obstacles
+    centres = [(x, y) for x, y in obstacles.centre.tolist()]
+    return list(zip(centres, obstacles.radius.tolist(), obstacles.influence.tolist(), strict=True))
 
 
 def _capacities(axes: Axes, time: NDArray, evaluation: Evaluation) -> None:

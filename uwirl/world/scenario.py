@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from uwirl.world.obstacles import Obstacles
 from uwirl.world.random import RandomStreams, Stream
 
 
@@ -20,6 +21,8 @@ class Scenario:
         destination: [3], m.
         start: eta of each vehicle in chain order from the source, [M, 4].
         sensors: [N, 3], m.
+        obstacles: as named.
+        vehicle_radius: m.
         dt: integration step, s.
         duration: length of a mission, s.
     """
@@ -28,12 +31,20 @@ class Scenario:
     destination: Tensor
     start: Tensor
     sensors: Tensor
+    obstacles: Obstacles
+    vehicle_radius: float
     dt: float
     duration: float
 
     @property
     def vehicles(self) -> int:
         return self.start.shape[0]
+
+    def clearance(self, position: Tensor, time: Tensor | float = 0.0) -> Tensor:
+        """Smallest gap between each vehicle at [..., M, 3] and any obstacle, [..., M], m; infinite in free water."""
+        if self.obstacles.count == 0:
+            return torch.full(position.shape[:-1], torch.inf, dtype=position.dtype, device=position.device)
+        return self.obstacles.clearance(position, self.vehicle_radius, time).amin(-1)
 
     @property
     def steps(self) -> int:

@@ -12,6 +12,7 @@ from uwirl.motion.calibration import calibration_hover
 from uwirl.motion.features import LinkFrameBasis
 from uwirl.motion.planner import CostFactory
 from uwirl.motion.policy import LinkFramePolicy, Policy
+from uwirl.motion.safety import Guard
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.world.relay import Relay
@@ -27,6 +28,7 @@ class PdPlanner:
         velocity_gain: surge, sway, heave in N s/m, yaw in N m s/rad.
         saturation_m: L of e / sqrt(1 + e^2/L^2).
         calibration_s: duration of the hover that finds the trim, s.
+        guard: between policy and thrusters during the hover.
     """
 
     make_cost: CostFactory
@@ -34,6 +36,7 @@ class PdPlanner:
     velocity_gain: Sequence[float]
     saturation_m: float
     calibration_s: float
+    guard: Guard
 
     def fit(self, env: Relay, estimate: ChannelEstimate) -> Policy:
         targets = mean_channel_targets(env.scenario, estimate)
@@ -41,5 +44,5 @@ class PdPlanner:
         (pu, pv, pw, pr), (du, dv, dw, dr) = self.position_gain, self.velocity_gain
         gains = torch.tensor([[pu, pu, du, pv, pv, dv, 0.0, pw, dw, pr, dr, 0.0]], dtype=torch.float64)
         actor = LinearActor(LinkFrameBasis(cost, [self.saturation_m]), -gains.to(targets.neighbours.device))
-        _, trim = calibration_hover(env, actor, cost, self.calibration_s)
+        _, trim = calibration_hover(env, actor, cost, self.calibration_s, self.guard)
         return LinkFramePolicy(targets.frame, actor, trim)

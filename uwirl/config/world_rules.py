@@ -1,0 +1,125 @@
+"""Rules of scenario, obstacles, sensors, channel and vehicle."""
+
+from __future__ import annotations
+
+import math
+
+from uwirl.config.checks import AXES, ConfigError, each, finite, one_of, positive, steps
+from uwirl.config.schema import ChannelConfig, EnergyGuardConfig, SafetyConfig, ScenarioConfig, VehicleConfig
+
+# Of the real axis that classical RK4 integrates stably, |lambda dt| < 2.785.
+RK4_STABILITY = 2.785
+
+
+def check_scenario(scenario: ScenarioConfig) -> None:
+    finite(scenario.source_m, "scenario.source_m", 3)
+    finite(scenario.destination_m, "scenario.destination_m", 3)
+    if math.dist(scenario.source_m, scenario.destination_m) < 1e-6:
+        raise ConfigError("scenario.destination_m", "coincides with scenario.source_m: the link has no length")
+    if not scenario.start:
+        raise ConfigError("scenario.start", "needs at least one vehicle [x, y, z, psi]")
+    for i, eta in enumerate(scenario.start):
+        key = f"scenario.start[{i}]"
+        finite(eta, key, 4)
+        others = {"the source": scenario.source_m, "the destination": scenario.destination_m}
+        others |= {f"vehicle {j}": other[:3] for j, other in enumerate(scenario.start[:i])}
+        for name, position in others.items():
+            if math.dist(eta[:3], position) < 1e-6:
+                raise ConfigError(key, f"{eta[:3]} coincides with {name}, where the SNR is infinite; move it away")
+    positive(scenario.dt_s, "scenario.dt_s")
+    steps(scenario.duration_s, scenario.dt_s, "scenario.duration_s")
+    positive(scenario.vehicle_radius_m, "scenario.vehicle_radius_m")
+    check_sensors(scenario)
+
+
+def check_obstacles(scenario: ScenarioConfig, safety: SafetyConfig) -> None:
+    """Well-formed, and neither on a start nor on the target, with the guard's margin."""
+    margin = safety.margin_m if isinstance(safety, EnergyGuardConfig) else 0.0
+    middle = [(a + b) / 2.0 for a, b in zip(scenario.source_m, scenario.destination_m, strict=True)]
+    occupied = {f"the start of vehicle {i}": eta for i, eta in enumerate(scenario.start)}
+    if len(scenario.start) == 1:
+        occupied["the target"] = middle
+    for i, obstacle in enumerate(scenario.obstacles):
+        key = f"scenario.obstacles[{i}]"
+        finite(obstacle.center_m, f"{key}.center_m", 2)
+        finite(obstacle.velocity_mps, f"{key}.velocity_mps", 2)
+        positive(obstacle.radius_m, f"{key}.radius_m")
+        if not obstacle.influence_m > obstacle.radius_m:
+            raise ConfigError(f"{key}.influence_m", f"must exceed radius_m = {obstacle.radius_m:g}")
+        for name, position in occupied.items():
+            gap = math.dist(position[:2], obstacle.center_m) - obstacle.radius_m - scenario.vehicle_radius_m
+            if gap < margin:
+                raise ConfigError(key, f"leaves {gap:.3g} m to {name}, the guard needs {margin:g} m; move one of them")
+
+
+def check_sensors(scenario: ScenarioConfig) -> None:
+    key, sensors = "scenario.sensors", scenario.sensors
+    if isinstance(sensors, int) and not isinstance(sensors, bool):
+        if sensors < 3:
+            raise ConfigError(key, f"{sensors} sensors cannot determine K, n and the fading: at least 3 are needed")
+        return
+    if not isinstance(sensors, list):
+        raise ConfigError(key, f"must be a number or a list of positions [x, y, z], got {sensors!r}")
+    if len(sensors) < 3:
+        raise ConfigError(key, f"{len(sensors)} sensors cannot determine K, n and the fading: at least 3 are needed")
+    for i, sensor in enumerate(sensors):
+        finite(sensor, f"{key}[{i}]", 3)
+    for i, eta in enumerate(scenario.start):
+        distances = [math.dist(eta[:3], sensor) for sensor in sensors]
+        if min(distances) < 1e-6:
+            j = distances.index(min(distances))
+            raise ConfigError(f"{key}[{j}]", f"lies on vehicle {i}, where the SNR is infinite; move it away")
+        if max(distances) / min(distances) < 1.0 + 1e-9:
+            raise ConfigError(
+                key,
+                f"all {len(sensors)} sensors are {distances[0]:g} m from vehicle {i}: K and n cannot be told apart "
+                "from one distance; spread them",
+            )
+
+
+def check_channel(channel: ChannelConfig) -> None:
+    for name in ("K_dB", "N0_dB"):
+        if not math.isfinite(getattr(channel, name)):
+            raise ConfigError(f"channel.{name}", "must be finite")
+    positive(channel.n, "channel.n")
+    positive(channel.bandwidth_khz, "channel.bandwidth_khz")
+    positive(channel.rho_dB, "channel.rho_dB", zero=True)
+    one_of(channel.absorption, "channel.absorption", ("none", "thorp"))
+    if channel.absorption == "none" and channel.frequency_khz is not None:
+        raise ConfigError("channel.frequency_khz", "has no effect without absorption; set channel.absorption=thorp too")
+    if channel.absorption != "none":
+        if channel.frequency_khz is None:
+            raise ConfigError("channel.frequency_khz", f"absorption {channel.absorption} needs a frequency in kHz")
+        positive(channel.frequency_khz, "channel.frequency_khz")
+
+
+def check_vehicle(vehicle: VehicleConfig, dt: float) -> None:
+    positive(vehicle.mass_kg, "vehicle.mass_kg")
+    positive(vehicle.yaw_inertia, "vehicle.yaw_inertia")
+    each(vehicle.added_mass, "vehicle.added_mass", 4, zero=True)
+    each(vehicle.linear_damping, "vehicle.linear_damping", 4, zero=True)
+    each(vehicle.quadratic_damping, "vehicle.quadratic_damping", 4)
+    each(vehicle.tau_max, "vehicle.tau_max", 4)
+    positive(vehicle.weight_N, "vehicle.weight_N", zero=True)
+    positive(vehicle.buoyancy_N, "vehicle.buoyancy_N", zero=True)
+    trim = abs(vehicle.weight_N - vehicle.buoyancy_N)
+    if trim >= vehicle.tau_max[2]:
+        raise ConfigError("vehicle.tau_max", f"heave {vehicle.tau_max[2]:g} N cannot hold the net weight of {trim:g} N")
+    rigid = [vehicle.mass_kg] * 3 + [vehicle.yaw_inertia]
+    for axis, r, added, linear, quadratic, limit in zip(
+        AXES,
+        rigid,
+        vehicle.added_mass,
+        vehicle.linear_damping,
+        vehicle.quadratic_damping,
+        vehicle.tau_max,
+        strict=True,
+    ):
+        # Damping at terminal speed under full thrust: d/dv (linear v + quadratic v^2).
+        rate = math.sqrt(linear**2 + 4.0 * quadratic * limit) / (r + added)
+        if rate * dt > RK4_STABILITY:
+            raise ConfigError(
+                "scenario.dt_s",
+                f"{dt:g} s cannot be integrated stably: {axis} is damped at {rate:.3g} 1/s at full thrust, so "
+                f"dt_s must stay below {RK4_STABILITY / rate:.3g} s",
+            )
