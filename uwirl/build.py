@@ -13,6 +13,7 @@ from uwirl.config.schema import (
     CostConfig,
     EnergyGuardConfig,
     ExperienceConfig,
+    GeodesicConfig,
     IrlConfig,
     LeastSquaresSolverConfig,
     ParallelConfig,
@@ -30,6 +31,7 @@ from uwirl.motion.cost import RelayCost
 from uwirl.motion.excitation import Excitation, PoseDraw
 from uwirl.motion.experience import Parallel, VirtualLinks, Window
 from uwirl.motion.features import ErrorBasis, LinkFrameBasis, MotionBasis
+from uwirl.motion.guidance import Geodesic, Guidance, straight
 from uwirl.motion.planner import CostFactory, ExperienceSource, IrlPlanner, Planner
 from uwirl.motion.safety import EnergyGuard, Guard, unguarded
 from uwirl.motion.targets import ChainTargets
@@ -92,6 +94,14 @@ def make_guard(config: Config) -> Guard:
     return EnergyGuard(safety.margin_m, safety.alpha, safety.mass_upper_kg, safety.mass_lower_kg, safety.brake_force_N)
 
 
+def make_guidance(config: Config) -> Guidance:
+    """How missions are led to their targets."""
+    guidance = config.guidance
+    if not isinstance(guidance, GeodesicConfig):
+        return straight
+    return Geodesic(guidance.gain, guidance.lateral_damping, guidance.spacing_m)
+
+
 def make_relay(config: Config, streams: RandomStreams | None = None) -> Relay:
     """The environment; one world of the configured seed unless other streams are given."""
     vehicle = Vehicle(**asdict(config.vehicle), dtype=getattr(torch, config.dtype), device=config.device)
@@ -122,6 +132,7 @@ def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
             planner.saturation_m,
             planner.calibration_s,
             make_guard(config),
+            make_guidance(config),
         )
     assert isinstance(planner, IrlConfig)
     return _irl_planner(config, planner, env, cost)
@@ -155,6 +166,7 @@ def _irl_planner(config: Config, planner: IrlConfig, env: Relay, cost: CostFacto
         updates=planner.updates,
         stopping=StoppingRule(planner.tolerance_weights, planner.max_time_s),
         guard=make_guard(config),
+        guidance=make_guidance(config),
     )
 
 

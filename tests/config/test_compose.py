@@ -23,13 +23,14 @@ GROUPS = [
     "basis",
     "cost",
     "safety",
+    "guidance",
     "solver",
     "planner",
     "experience",
     "logging",
 ]
 FILES = [(group, path.stem) for group in GROUPS for path in sorted((folder() / group).glob("*.yaml"))]
-NAMED = ["estimator", "basis", "safety", "solver", "planner", "experience"]
+NAMED = ["estimator", "basis", "safety", "guidance", "solver", "planner", "experience"]
 
 
 @pytest.mark.parametrize(("group", "name"), FILES, ids=["/".join(file) for file in FILES])

@@ -137,7 +137,7 @@ def _plan(
         last.seconds,
         ", weights settled" if last.converged else "",
     )
-    return planner.policy, records
+    return planner.lead(planner.policy), records
 
 
 class _Judge:
@@ -158,11 +158,13 @@ class _Judge:
         """The start policy's mission, and J of every iterate."""
         learned = planner.policy.actor.weight.clone()
         planner.policy.actor.weight.copy_(planner.start_weights)
-        start = self.fly(planner.policy)
+        start = self.fly(planner.lead(planner.policy))
         planner.policy.actor.weight.copy_(learned)
         weights = torch.cat([record.actor[:1] for record in records])
         starts = self.env.scenario.start[None]
-        costs = cost_of_weights(self.env, planner.policy, weights, self.cost, self.targets, starts, self.guard)
+        costs = cost_of_weights(
+            self.env, planner.policy, weights, self.cost, self.targets, starts, planner.lead, self.guard
+        )
         return start, costs[:, 0].tolist()
 
     def baseline(self, estimate: ChannelEstimate) -> dict[str, Evaluation]:

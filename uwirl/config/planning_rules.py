@@ -10,6 +10,8 @@ from uwirl.config.schema import (
     CostConfig,
     EnergyGuardConfig,
     ExperienceConfig,
+    GeodesicConfig,
+    GuidanceConfig,
     IrlConfig,
     LeastSquaresSolverConfig,
     ParallelConfig,
@@ -17,11 +19,14 @@ from uwirl.config.schema import (
     PlannerConfig,
     RlsSolverConfig,
     SafetyConfig,
+    ScenarioConfig,
     SolverConfig,
     VehicleConfig,
     VirtualLinksConfig,
 )
 
+# Of a route map: 4 million nodes take about 2 GB while it is solved.
+MAX_NODES = 4_000_000
 # Batch solvers by name, and whether each is bounded.
 BATCH = {"batch": False, "bounded_batch": True}
 
@@ -49,6 +54,19 @@ def check_safety(safety: SafetyConfig, vehicle: VehicleConfig) -> None:
         if safety.brake_force_N > thrust:
             raise ConfigError(
                 "safety.brake_force_N", f"exceeds the horizontal thrust of {thrust:g} N (vehicle.tau_max)"
+            )
+
+
+def check_guidance(guidance: GuidanceConfig, scenario: ScenarioConfig) -> None:
+    here = "geodesic" if isinstance(guidance, GeodesicConfig) else "straight"
+    named(guidance.name, "guidance.name", ("straight", "geodesic"), [here])
+    if isinstance(guidance, GeodesicConfig):
+        for name in ("gain", "lateral_damping", "spacing_m"):
+            positive(getattr(guidance, name), f"guidance.{name}")
+        span = math.dist(scenario.source_m[:2], scenario.destination_m[:2])
+        if (span / guidance.spacing_m) ** 2 > MAX_NODES:
+            raise ConfigError(
+                "guidance.spacing_m", f"makes a map of more than {MAX_NODES:,} nodes; choose a larger one"
             )
 
 

@@ -158,6 +158,18 @@ class PdConfig(PlannerConfig):
 
 
 @dataclass
+class GuidanceConfig:
+    name: str = MISSING  # straight | geodesic
+
+
+@dataclass
+class GeodesicConfig(GuidanceConfig):
+    gain: float = MISSING  # k of F = k sqrt(q / R_b)
+    lateral_damping: float = MISSING  # N s/m
+    spacing_m: float = MISSING  # of the map
+
+
+@dataclass
 class LoggingConfig:
     tensorboard: bool = MISSING
     figures: bool = MISSING
@@ -172,6 +184,7 @@ class Config:
     estimator: EstimatorConfig = MISSING
     basis: BasisConfig = MISSING
     cost: CostConfig = MISSING
+    guidance: GuidanceConfig = MISSING
     safety: SafetyConfig = MISSING
     solver: SolverConfig = MISSING
     experience: ExperienceConfig = MISSING
@@ -195,6 +208,7 @@ def register() -> None:
         "estimator": {"schema": EstimatorConfig},
         "basis": {"schema": BasisConfig},
         "cost": {"schema": CostConfig},
+        "guidance": {"schema": GuidanceConfig, "geodesic_schema": GeodesicConfig},
         "safety": {"schema": SafetyConfig, "energy_schema": EnergyGuardConfig},
         "solver": {"least_squares_schema": LeastSquaresSolverConfig, "rls_schema": RlsSolverConfig},
         "experience": {"virtual_links_schema": VirtualLinksConfig, "parallel_schema": ParallelConfig},

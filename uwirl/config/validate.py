@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from uwirl.config.checks import ConfigError, one_of
-from uwirl.config.planning_rules import check_cost, check_planner, check_safety, check_solver
+from uwirl.config.planning_rules import check_cost, check_guidance, check_planner, check_safety, check_solver
 from uwirl.config.schema import Config
 from uwirl.config.world_rules import check_channel, check_obstacles, check_scenario, check_vehicle
 
@@ -26,6 +26,7 @@ def validate(config: Config) -> None:
         if not scales or any(not L > 0.0 for L in scales) or len(set(scales)) < len(scales):
             raise ConfigError("basis.length_scales_m", f"needs one or more different positive lengths, got {scales}")
     check_cost(config.cost)
+    check_guidance(config.guidance, config.scenario)
     check_safety(config.safety, config.vehicle)
     check_obstacles(config.scenario, config.safety)
     check_solver(config.solver)

@@ -18,6 +18,7 @@ from uwirl.motion.calibration import calibration_hover
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.experience import Recorder, Window
 from uwirl.motion.features import MotionBasis
+from uwirl.motion.guidance import Guidance, Lead
 from uwirl.motion.policy import LinkFramePolicy, Policy
 from uwirl.motion.safety import Guard
 from uwirl.motion.targets import ChainTargets, mean_channel_targets
@@ -37,12 +38,14 @@ class LearningPlanner(ABC):
 
     Attributes:
         policy: the newest policy.
+        lead: leads it to the mission's target.
         basis: its features.
         start_weights: what it started from, [L, n3].
         recorder: has counted the contacts while learning.
     """
 
     policy: LinkFramePolicy
+    lead: Lead
     basis: MotionBasis
     start_weights: Tensor
     recorder: Recorder
@@ -55,7 +58,7 @@ class LearningPlanner(ABC):
         """Learn to the end."""
         for _ in self.iterate(env, estimate):
             pass
-        return self.policy
+        return self.lead(self.policy)
 
 
 class ExperienceSource(Protocol):
@@ -88,6 +91,7 @@ class IrlPlanner(LearningPlanner):
         updates: policy iterations per stretch of experience.
         stopping: epsilon_3 and T_max,2; the hover counts towards the time.
         guard: between policy and thrusters while learning.
+        guidance: the mission's way to the target; virtual links are flown to straight.
     """
 
     make_cost: CostFactory
@@ -104,11 +108,13 @@ class IrlPlanner(LearningPlanner):
     updates: int
     stopping: StoppingRule
     guard: Guard
+    guidance: Guidance
 
     def iterate(self, env: Relay, estimate: ChannelEstimate) -> Iterator[IterationRecord]:
         """Learn; see `policy_iteration` for what is raised."""
         targets = mean_channel_targets(env.scenario, estimate)
         cost = self.make_cost(estimate, targets)
+        self.lead = self.guidance(env, cost, targets)
         self.basis = self.make_basis(cost)
         start = (self.start_gain * self.basis.start_weights()).repeat(self.learners, 1)
         # Weights are float64 whatever the environment's dtype.

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from uwirl.irl.networks import LinearActor
 from uwirl.motion.cost import RelayCost
+from uwirl.motion.guidance import Lead, go_straight
 from uwirl.motion.policy import LinkFramePolicy, Policy
 from uwirl.motion.safety import Guard, unguarded
 from uwirl.motion.targets import ChainTargets
@@ -118,6 +119,7 @@ def cost_of_weights(
     cost: RelayCost,
     targets: ChainTargets,
     starts: Tensor,
+    lead: Lead = go_straight,
     guard: Guard = unguarded,
 ) -> Tensor:
     """J of K sets of actor weights from Q starts, all flown as one batch.
@@ -128,6 +130,7 @@ def cost_of_weights(
         weights: [K, n3].
         cost, targets: on the true channel.
         starts: eta, [Q, M, 4].
+        lead: leads the policy to the target.
         guard: between policy and thrusters.
 
     Returns:
@@ -137,4 +140,4 @@ def cost_of_weights(
     state = VehicleState.from_eta_nu(starts.repeat(K, 1, 1))
     actor = LinearActor(policy.actor.basis, weights.repeat_interleave(Q * M, 0))
     flown = LinkFramePolicy(policy.frame, actor, policy.trim[:1])
-    return evaluate(env, guard(env, flown), cost, targets, state).cost.view(K, Q)
+    return evaluate(env, guard(env, lead(flown)), cost, targets, state).cost.view(K, Q)

@@ -10,6 +10,7 @@ import torch
 from uwirl.irl.networks import LinearActor
 from uwirl.motion.calibration import calibration_hover
 from uwirl.motion.features import LinkFrameBasis
+from uwirl.motion.guidance import Guidance
 from uwirl.motion.planner import CostFactory
 from uwirl.motion.policy import LinkFramePolicy, Policy
 from uwirl.motion.safety import Guard
@@ -29,6 +30,7 @@ class PdPlanner:
         saturation_m: L of e / sqrt(1 + e^2/L^2).
         calibration_s: duration of the hover that finds the trim, s.
         guard: between policy and thrusters during the hover.
+        guidance: the way to the target.
     """
 
     make_cost: CostFactory
@@ -37,6 +39,7 @@ class PdPlanner:
     saturation_m: float
     calibration_s: float
     guard: Guard
+    guidance: Guidance
 
     def fit(self, env: Relay, estimate: ChannelEstimate) -> Policy:
         targets = mean_channel_targets(env.scenario, estimate)
@@ -45,4 +48,4 @@ class PdPlanner:
         gains = torch.tensor([[pu, pu, du, pv, pv, dv, 0.0, pw, dw, pr, dr, 0.0]], dtype=torch.float64)
         actor = LinearActor(LinkFrameBasis(cost, [self.saturation_m]), -gains.to(targets.neighbours.device))
         _, trim = calibration_hover(env, actor, cost, self.calibration_s, self.guard)
-        return LinkFramePolicy(targets.frame, actor, trim)
+        return self.guidance(env, cost, targets)(LinkFramePolicy(targets.frame, actor, trim))
