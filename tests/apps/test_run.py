@@ -166,3 +166,14 @@ def test_installed_wheel_runs_from_another_folder(tmp_path):
     )
     assert result.stdout.splitlines()[0] == str(site / "uwirl" / "conf")
     assert len(list(cwd.rglob("metrics.json"))) == 1
+
+
+def test_a_bug_is_written_down_and_raised(run, monkeypatch, tmp_path):
+    def broken(*arguments):
+        raise KeyError("not foreseen")
+
+    monkeypatch.setattr(algorithm, "take_readings", broken)
+    with pytest.raises(KeyError):
+        run(*SHORT)
+    written = json.loads((tmp_path / "metrics.json").read_text())
+    assert (written["status"], written["error"]) == ("failed", "KeyError: 'not foreseen'")

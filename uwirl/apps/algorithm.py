@@ -51,7 +51,8 @@ def run(config: Config, experiment: str, folder: Path) -> dict[str, Any]:
         folder: existing, where everything is written.
 
     Returns:
-        What metrics.json holds; `status` is "failed", with `error`, after one of FAILURES.
+        What metrics.json holds; `status` is "failed", with `error`, after one of FAILURES. Anything else that is raised
+        is written there too, and raised on.
     """
     torch.set_num_threads(config.threads)
     started = time.perf_counter()
@@ -70,6 +71,9 @@ def run(config: Config, experiment: str, folder: Path) -> dict[str, Any]:
     except FAILURES as error:
         metrics["error"] = f"{type(error).__name__}: {error}"
         log.error("failed: %s", error)
+    except BaseException as error:
+        metrics["error"] = f"{type(error).__name__}: {error}"
+        raise
     finally:
         metrics["wall_time_s"] = time.perf_counter() - started
         run_folder.write_metrics(folder, metrics)

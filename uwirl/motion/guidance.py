@@ -24,9 +24,9 @@ Lead = Callable[[LinkFramePolicy], Policy]
 # Plans the way once, for the obstacles as they stand at the start, and leads policies along it.
 Guidance = Callable[[Relay, RelayCost, ChainTargets], Lead]
 
-# Within NEAR of the target PD control alone, beyond FAR the route alone, in between a blend, m.
+# Within NEAR of the target the led policy alone, beyond FAR the route alone, in between a blend, m.
 NEAR, FAR = 1.0, 3.0
-# The least q that sets the pace, shrinking within 2 m of the target.
+# Least q that sets the pace, or the last metres would take for ever; it shrinks within 2 m of the target.
 PACE_FLOOR = 0.004
 
 
