@@ -74,9 +74,10 @@ def test_trim_is_learned_from_the_hover(learn):
 
 
 def test_munk_moment_is_identified(learn):
-    """The optimal yaw control cancels (m_v - m_u) u v = 7.2 u v, which nobody told the learner."""
-    _, _, records = learn("planner.max_time_s=200", "planner.tolerance_weights=0")
-    assert float(records[-1].actor[0, -1]) == pytest.approx(24.2 - 17.0, rel=0.25)
+    """The optimal yaw control cancels (m_v - m_u) u v = 7.2 u v, which nobody told the learner (median of seeds)."""
+    overrides = ("planner.max_time_s=120", "planner.tolerance_weights=0")
+    _, _, records = learn(*overrides, seeds=range(5))
+    assert float(records[-1].actor[:, -1].median()) == pytest.approx(24.2 - 17.0, rel=0.25)
 
 
 def test_z_rls_equals_batch_least_squares_in_flight(learn, monkeypatch):

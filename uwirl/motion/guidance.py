@@ -14,6 +14,7 @@ from torch import Tensor
 
 from uwirl.irl.grid_critic import GridMap
 from uwirl.motion.cost import RelayCost
+from uwirl.motion.link_frame import LinkFrame
 from uwirl.motion.policy import LinkFramePolicy, Policy
 from uwirl.motion.route import place_cost, route_map
 from uwirl.motion.targets import ChainTargets
@@ -32,7 +33,10 @@ PACE_FLOOR = 0.004
 
 @dataclass
 class GeodesicPolicy:
-    """Surge and sway along the route, heave and yaw from the policy that also takes over near the target.
+    """Surge and sway along the route; heave and yaw from the policy that also takes over near the target.
+
+    Far from the target that policy's yaw holds the heading along the way, bow or stern first, instead of along the
+    link: moving askew costs the yaw thruster more than the cost's yaw term can be worth.
 
     Attributes:
         near: policy for the last metres.
@@ -66,8 +70,12 @@ class GeodesicPolicy:
         drive = self.gain * torch.sqrt(q / effort)
         drift = (state.nu[..., :2] * across).sum(-1)
         force = drive[..., None] * u - self.lateral_damping * drift[..., None] * across
+        # The way's bearing or its opposite, whichever the bow is nearer to.
+        ahead = torch.atan2(way[..., 1], way[..., 0]) + torch.where(u[..., 0] < 0.0, torch.pi, 0.0)
+        held = LinkFramePolicy(LinkFrame(self.near.frame.target, ahead), self.near.actor, self.near.trim)
+        far = torch.cat([force, held(state, step)[..., 2:]], -1)
         share = ((FAR - distance) / (FAR - NEAR)).clamp(0.0, 1.0)[..., None]
-        return torch.cat([(1.0 - share) * force + share * tau[..., :2], tau[..., 2:]], -1)
+        return (1.0 - share) * far + share * tau
 
 
 def go_straight(policy: LinkFramePolicy) -> Policy:
