@@ -23,7 +23,6 @@ from uwirl.config.compose import compose
 from uwirl.config.validate import validate
 from uwirl.motion.planner import LearningPlanner
 from uwirl.motion.targets import mean_channel_targets
-from uwirl.snr.estimators import oracle
 from uwirl.snr.measurements import take_readings
 from uwirl.study import run_folder
 from uwirl.study.evaluation import cost_of_weights
@@ -73,7 +72,7 @@ def learning_curve(seeds: int, times_s: list[float], overrides: list[str]) -> di
     if not isinstance(planner, LearningPlanner):
         raise SystemExit(f"planner={config.planner.name} does not learn")
     records = list(planner.iterate(env, estimate))
-    targets = mean_channel_targets(env.scenario, oracle(take_readings(env), env.channel))
+    targets = mean_channel_targets(env.scenario, env.channel)
     cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
 
     def gaps(weights: Tensor) -> tuple[list[float], list[float]]:

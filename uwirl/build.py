@@ -35,7 +35,6 @@ from uwirl.motion.guidance import Geodesic, Guidance, straight
 from uwirl.motion.planner import CostFactory, ExperienceSource, IrlPlanner, Planner
 from uwirl.motion.safety import EnergyGuard, Guard, unguarded
 from uwirl.motion.targets import ChainTargets
-from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.estimators import ESTIMATORS, Estimator
 from uwirl.world.acoustics import Channel
 from uwirl.world.obstacles import Obstacles, no_obstacles
@@ -121,8 +120,8 @@ def make_cost(config: CostConfig, channel: Channel, targets: ChainTargets, tau_m
 def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
     """A planner with these settings; it learns one set of weights for each world of `env`."""
 
-    def cost(estimate: ChannelEstimate, targets: ChainTargets) -> RelayCost:
-        return make_cost(config.cost, estimate.channel, targets, env.vehicle.tau_max)
+    def cost(channel: Channel, targets: ChainTargets) -> RelayCost:
+        return make_cost(config.cost, channel, targets, env.vehicle.tau_max)
 
     if isinstance(planner, PdConfig):
         return PdPlanner(

@@ -8,8 +8,6 @@ import torch
 
 from uwirl import build
 from uwirl.motion.targets import NoTargetError, mean_channel_targets
-from uwirl.snr.estimators import oracle
-from uwirl.snr.measurements import take_readings
 
 
 @pytest.fixture
@@ -18,7 +16,7 @@ def problem(make_config, make_relay):
 
     def make(*overrides: str):
         config, env = make_config(*overrides), make_relay(*overrides)
-        targets = mean_channel_targets(env.scenario, oracle(take_readings(env), env.channel))
+        targets = mean_channel_targets(env.scenario, env.channel)
         return env, targets, build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
 
     return make
@@ -75,7 +73,7 @@ def test_cost_in_the_link_frame_is_the_cost_in_the_world(problem):
 
 def test_chain_of_three_has_equal_hops(make_relay):
     env = make_relay("scenario.start=[[1,2,-3,0],[4,5,-6,0],[7,8,-9,0]]")
-    targets = mean_channel_targets(env.scenario, oracle(take_readings(env), env.channel))
+    targets = mean_channel_targets(env.scenario, env.channel)
     hops = torch.linalg.vector_norm(env.chain(targets.frame.target).diff(dim=-2), dim=-1)
     torch.testing.assert_close(hops, hops.mean().expand(4), rtol=1e-12, atol=0)
 
@@ -83,12 +81,11 @@ def test_chain_of_three_has_equal_hops(make_relay):
 def test_capacity_of_the_papers_pair(make_relay):
     """91.12 kbit/s over thirds of the link."""
     env = make_relay("scenario.start=[[29.5,29.5,0,1],[30.5,28.5,0,2]]")
-    targets = mean_channel_targets(env.scenario, oracle(take_readings(env), env.channel))
+    targets = mean_channel_targets(env.scenario, env.channel)
     assert float(env.link_capacities_kbps(targets.frame.target).amin()) == pytest.approx(91.122, abs=1e-3)
 
 
 def test_an_estimate_that_grows_with_distance_has_no_target(make_relay):
     env = make_relay()
-    estimate = oracle(take_readings(env), env.channel)
     with pytest.raises(NoTargetError, match="does not fall with distance"):
-        mean_channel_targets(env.scenario, replace(estimate, channel=replace(env.channel, n=-1.0)))
+        mean_channel_targets(env.scenario, replace(env.channel, n=-1.0))

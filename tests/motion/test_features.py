@@ -9,8 +9,6 @@ from uwirl import build
 from uwirl.irl.networks import LinearActor
 from uwirl.motion.features import ErrorBasis, LinkFrameBasis
 from uwirl.motion.targets import mean_channel_targets
-from uwirl.snr.estimators import oracle
-from uwirl.snr.measurements import take_readings
 
 INERTIA_LOWER, DT = (12.0, 12.0, 12.0, 0.2), 0.05
 
@@ -18,7 +16,7 @@ INERTIA_LOWER, DT = (12.0, 12.0, 12.0, 0.2), 0.05
 @pytest.fixture
 def cost(make_config, make_relay):
     env = make_relay()
-    targets = mean_channel_targets(env.scenario, oracle(take_readings(env), env.channel))
+    targets = mean_channel_targets(env.scenario, env.channel)
     return build.make_cost(make_config().cost, env.channel, targets, env.vehicle.tau_max)
 
 

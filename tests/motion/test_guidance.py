@@ -31,7 +31,7 @@ def world(make_config, make_relay):
     def make(*overrides: str):
         config, env = make_config(*overrides), make_relay(*overrides)
         truth = oracle(take_readings(env), env.channel)
-        targets = mean_channel_targets(env.scenario, truth)
+        targets = mean_channel_targets(env.scenario, env.channel)
         cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
         return config, env, truth, targets, cost
 

@@ -39,7 +39,7 @@ def judge(make_config):
     """J of actor weights [K, n3] from the scenario's start on the true channel."""
 
     def costs(env, planner, weights):
-        targets = mean_channel_targets(env.scenario, oracle(take_readings(env), env.channel))
+        targets = mean_channel_targets(env.scenario, env.channel)
         cost = build.make_cost(make_config().cost, env.channel, targets, env.vehicle.tau_max)
         return cost_of_weights(env, planner.policy, weights, cost, targets, env.scenario.start[None])[:, 0]
 
@@ -121,7 +121,7 @@ def test_pd_flies_to_the_target(make_config, make_relay):
     config, env = make_config("planner=pd"), make_relay("planner=pd")
     truth = oracle(take_readings(env), env.channel)
     policy = build.make_planner(config, config.planner, env).fit(env, truth)
-    targets = mean_channel_targets(env.scenario, truth)
+    targets = mean_channel_targets(env.scenario, env.channel)
     cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
     evaluation = evaluate(env, policy, cost, targets, env.reset())
     assert float(evaluation.chain_capacity[-1, 0]) > 0.99 * evaluation.optimal_capacity

@@ -5,8 +5,6 @@ import torch
 
 from uwirl import build
 from uwirl.motion.targets import mean_channel_targets
-from uwirl.snr.estimators import oracle
-from uwirl.snr.measurements import take_readings
 from uwirl.study.evaluation import Evaluation, evaluate
 from uwirl.world.relay import Trajectory
 from uwirl.world.vehicle import VehicleState
@@ -56,7 +54,7 @@ def test_metrics():
 def test_cost_of_resting_is_the_running_cost_times_time(make_config, make_relay):
     """A vehicle held at its start by its trim: every term is a constant times 80 s."""
     config, env = make_config(), make_relay()
-    targets = mean_channel_targets(env.scenario, oracle(take_readings(env), env.channel))
+    targets = mean_channel_targets(env.scenario, env.channel)
     cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
     evaluation = evaluate(env, lambda state, step: env.vehicle.trim.expand(1, 1, 4), cost, targets, env.reset())
     xi = targets.frame.relative(env.reset())
@@ -67,7 +65,7 @@ def test_cost_of_resting_is_the_running_cost_times_time(make_config, make_relay)
 
 def test_worlds_are_evaluated_one_by_one(make_config, make_relay):
     config, env = make_config("scenario.duration_s=5"), make_relay("scenario.duration_s=5")
-    targets = mean_channel_targets(env.scenario, oracle(take_readings(env), env.channel))
+    targets = mean_channel_targets(env.scenario, env.channel)
     cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
     eta = 5.0 * torch.randn(4, 1, 4, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
 
@@ -84,7 +82,7 @@ def test_obstacle_term_of_a_resting_vehicle(make_config, make_relay):
     cylinder = "scenario.obstacles=[{center_m:[29.5,26.5],radius_m:1,influence_m:6}]"
     overrides = ("scenario.duration_s=5", cylinder, "cost.beta_2=2")
     config, env = make_config(*overrides), make_relay(*overrides)
-    targets = mean_channel_targets(env.scenario, oracle(take_readings(env), env.channel))
+    targets = mean_channel_targets(env.scenario, env.channel)
     cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
     evaluation = evaluate(env, lambda state, step: env.vehicle.trim.expand(1, 1, 4), cost, targets, env.reset())
     assert float(evaluation.cost_terms["obstacle"][0]) == pytest.approx(2.0 * 5.0 * (1 / 3 - 1 / 6) ** 2, rel=1e-9)

@@ -21,7 +21,7 @@ from uwirl.motion.planner import LearningPlanner, Planner
 from uwirl.motion.policy import Policy
 from uwirl.motion.targets import NoTargetError, mean_channel_targets
 from uwirl.snr.estimate import ChannelEstimate
-from uwirl.snr.estimators import UnidentifiableError, oracle
+from uwirl.snr.estimators import UnidentifiableError
 from uwirl.snr.measurements import take_readings
 from uwirl.study import checkpoint, run_folder
 from uwirl.study.evaluation import Evaluation, cost_of_weights, evaluate
@@ -150,8 +150,7 @@ class _Judge:
     def __init__(self, config: Config, env: Relay):
         self.config = config
         self.env = env
-        truth = oracle(take_readings(env), env.channel)
-        self.targets = mean_channel_targets(env.scenario, truth)
+        self.targets = mean_channel_targets(env.scenario, env.channel)
         self.cost = build.make_cost(config.cost, env.channel, self.targets, env.vehicle.tau_max)
         self.guard = build.make_guard(config)
 

@@ -23,6 +23,7 @@ from uwirl.motion.policy import LinkFramePolicy, Policy
 from uwirl.motion.safety import Guard
 from uwirl.motion.targets import ChainTargets, mean_channel_targets
 from uwirl.snr.estimate import ChannelEstimate
+from uwirl.world.acoustics import Channel
 from uwirl.world.relay import Relay
 from uwirl.world.vehicle import VehicleState
 
@@ -69,7 +70,7 @@ class ExperienceSource(Protocol):
     ) -> Iterator[Experience]: ...
 
 
-CostFactory = Callable[[ChannelEstimate, ChainTargets], RelayCost]
+CostFactory = Callable[[Channel, ChainTargets], RelayCost]
 
 
 @dataclass
@@ -112,8 +113,8 @@ class IrlPlanner(LearningPlanner):
 
     def iterate(self, env: Relay, estimate: ChannelEstimate) -> Iterator[IterationRecord]:
         """Learn; see `policy_iteration` for what is raised."""
-        targets = mean_channel_targets(env.scenario, estimate)
-        cost = self.make_cost(estimate, targets)
+        targets = mean_channel_targets(env.scenario, estimate.channel)
+        cost = self.make_cost(estimate.channel, targets)
         self.lead = self.guidance(env, cost, targets)
         self.basis = self.make_basis(cost)
         start = (self.start_gain * self.basis.start_weights()).repeat(self.learners, 1)

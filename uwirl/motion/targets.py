@@ -1,4 +1,4 @@
-"""Where each vehicle should be on the estimated channel."""
+"""Where each vehicle should be on a channel: the estimate when planning, the truth when judging."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from uwirl.motion.link_frame import LinkFrame
-from uwirl.snr.estimate import ChannelEstimate
+from uwirl.world.acoustics import Channel
 from uwirl.world.scenario import Scenario
 
 
@@ -28,22 +28,22 @@ class ChainTargets(NamedTuple):
     neighbours: Tensor
 
 
-def mean_channel_targets(scenario: Scenario, estimate: ChannelEstimate) -> ChainTargets:
+def mean_channel_targets(scenario: Scenario, channel: Channel) -> ChainTargets:
     """Targets that maximise the worst link's mean capacity: M + 1 equal hops on the line from source to destination.
 
     The mean SNR depends on distance alone and falls with it, so shortening the longest hop always helps until all are
     equal.
 
     Raises:
-        NoTargetError: the estimated SNR does not fall with distance over a hop, so that no such optimum exists.
+        NoTargetError: the SNR does not fall with distance over a hop, so that no such optimum exists.
     """
     M = scenario.vehicles
     span = scenario.destination - scenario.source
     hop = torch.linalg.vector_norm(span) / (M + 1)
-    near, far = estimate.channel.mean_snr_dB(torch.stack([0.5 * hop, hop]))
+    near, far = channel.mean_snr_dB(torch.stack([0.5 * hop, hop]))
     if not bool(near > far):
         raise NoTargetError(
-            f"estimator: the estimated SNR does not fall with distance (n = {float(estimate.channel.n):.3g}), so "
+            f"estimator: the estimated SNR does not fall with distance (n = {float(channel.n):.3g}), so "
             "there is no best relay position; use more sensors or more widely spread ones (scenario.sensors)"
         )
     fraction = torch.arange(1, M + 1, dtype=span.dtype, device=span.device) / (M + 1)

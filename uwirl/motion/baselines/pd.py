@@ -42,8 +42,8 @@ class PdPlanner:
     guidance: Guidance
 
     def fit(self, env: Relay, estimate: ChannelEstimate) -> Policy:
-        targets = mean_channel_targets(env.scenario, estimate)
-        cost = self.make_cost(estimate, targets)
+        targets = mean_channel_targets(env.scenario, estimate.channel)
+        cost = self.make_cost(estimate.channel, targets)
         (pu, pv, pw, pr), (du, dv, dw, dr) = self.position_gain, self.velocity_gain
         gains = torch.tensor([[pu, pu, du, pv, pv, dv, 0.0, pw, dw, pr, dr, 0.0]], dtype=torch.float64)
         actor = LinearActor(LinkFrameBasis(cost, [self.saturation_m]), -gains.to(targets.neighbours.device))
