@@ -76,7 +76,7 @@ def learning_curve(seeds: int, times_s: list[float], overrides: list[str]) -> di
     cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
 
     def gaps(weights: Tensor) -> tuple[list[float], list[float]]:
-        J = cost_of_weights(env, planner.policy, weights, cost, targets, STARTS[:, None, :4])
+        J = cost_of_weights(env, planner.policy, weights[:, None], cost, targets, STARTS[:, None, :4])
         reference = STARTS[:, 4]
         over_starts = J[:, 1:].sum(1) / reference[1:].sum() - 1.0
         return (100.0 * over_starts).tolist(), (100.0 * (J[:, 0] / reference[0] - 1.0)).tolist()

@@ -19,6 +19,7 @@ from uwirl.config.schema import (
     ParallelConfig,
     PdConfig,
     PlannerConfig,
+    PrintedCostConfig,
     RlsSolverConfig,
     VirtualLinksConfig,
 )
@@ -26,6 +27,7 @@ from uwirl.irl.bellman import BellmanOperator
 from uwirl.irl.least_squares import Regularisation
 from uwirl.irl.policy_iteration import StoppingRule
 from uwirl.irl.solvers import BatchLeastSquares, Bounds, ClassicalRls, Solver, ZRecursiveLeastSquares
+from uwirl.motion.avoidance import Avoidance, Printed, remark_2, smooth
 from uwirl.motion.baselines.pd import PdPlanner
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.excitation import Excitation, PoseDraw
@@ -37,6 +39,7 @@ from uwirl.motion.safety import EnergyGuard, Guard, unguarded
 from uwirl.motion.targets import ChainTargets
 from uwirl.snr.estimators import ESTIMATORS, Estimator
 from uwirl.world.acoustics import Channel
+from uwirl.world.current import Current
 from uwirl.world.obstacles import Obstacles, no_obstacles
 from uwirl.world.random import RandomStreams
 from uwirl.world.relay import Relay
@@ -62,6 +65,9 @@ def make_scenario(config: Config) -> Scenario:
         start=tensor(scenario.start),
         sensors=sensors,
         obstacles=_obstacles(config),
+        current=Current(tensor(scenario.current_mps), scenario.current_std_mps, scenario.current_time_s),
+        depth=scenario.depth_m,
+        detection_range=scenario.detection_range_m,
         vehicle_radius=scenario.vehicle_radius_m,
         dt=scenario.dt_s,
         duration=scenario.duration_s,
@@ -90,7 +96,14 @@ def make_guard(config: Config) -> Guard:
     safety = config.safety
     if not isinstance(safety, EnergyGuardConfig):
         return unguarded
-    return EnergyGuard(safety.margin_m, safety.alpha, safety.mass_upper_kg, safety.mass_lower_kg, safety.brake_force_N)
+    return EnergyGuard(
+        safety.margin_m,
+        safety.separation_m,
+        safety.alpha,
+        safety.mass_upper_kg,
+        safety.mass_lower_kg,
+        safety.brake_force_N,
+    )
 
 
 def make_guidance(config: Config) -> Guidance:
@@ -98,7 +111,14 @@ def make_guidance(config: Config) -> Guidance:
     guidance = config.guidance
     if not isinstance(guidance, GeodesicConfig):
         return straight
-    return Geodesic(guidance.gain, guidance.lateral_damping, guidance.spacing_m)
+    return Geodesic(
+        guidance.gain,
+        guidance.lateral_damping,
+        guidance.heading_stiffness,
+        guidance.heading_damping,
+        guidance.spacing_m,
+        config.safety.margin_m if isinstance(config.safety, EnergyGuardConfig) else 0.0,
+    )
 
 
 def make_relay(config: Config, streams: RandomStreams | None = None) -> Relay:
@@ -114,7 +134,12 @@ def make_estimator(config: Config) -> Estimator:
 
 def make_cost(config: CostConfig, channel: Channel, targets: ChainTargets, tau_max: Tensor) -> RelayCost:
     """The running cost on a channel: the estimate to learn from, the truth to be judged by."""
-    return RelayCost(channel, targets.neighbours, config.beta_1, config.beta_2, config.yaw_weight, config.R, tau_max)
+    avoidance: Avoidance = smooth
+    if isinstance(config, PrintedCostConfig):
+        avoidance = Printed(*remark_2(config.left_m, config.right_m, config.kappa_1, config.kappa_2))
+    return RelayCost(
+        channel, targets.neighbours, config.beta_1, config.beta_2, config.yaw_weight, config.R, tau_max, avoidance
+    )
 
 
 def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
@@ -155,7 +180,7 @@ def _irl_planner(config: Config, planner: IrlConfig, env: Relay, cost: CostFacto
         make_basis=lambda running_cost: _basis(config, running_cost),
         make_solver=solver,
         experience=_experience(config),
-        learners=1 if isinstance(config.experience, ParallelConfig) else env.worlds,
+        learners=1 if isinstance(config.experience, ParallelConfig) else env.worlds * env.scenario.vehicles,
         actor_sign=-1.0 if planner.actor_sign == "corrected" else 1.0,
         inertia_lower=tuple(planner.inertia_lower),
         start_gain=planner.start_gain,

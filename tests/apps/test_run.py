@@ -14,7 +14,7 @@ from uwirl.apps import algorithm
 from uwirl.config.validate import validate
 from uwirl.study import checkpoint, run_folder
 
-SHORT = ("planner.max_time_s=20", "scenario.duration_s=5")
+SHORT = ("planner.max_time_s=24", "scenario.duration_s=5")
 MISSION = ("capacity_initial_mean_kbps", "capacity_final_mean_kbps", "capacity_optimal_mean_kbps")
 
 
@@ -46,7 +46,7 @@ def test_metrics_file_is_flat_json(complete):
     assert {"experiment", "config_hash", "seed", "uwirl_version", "wall_time_s", *MISSION} < written.keys()
     assert not any(isinstance(value, dict) for value in written.values())
     assert len(written["cost_per_iteration"]) == written["policy_iterations"] == 8
-    assert written["learning_vehicle_seconds"] == 20.0
+    assert written["learning_vehicle_seconds"] == 24.0
     assert written["learning_env_steps"] == 400
     assert written["capacity_initial_mean_kbps"] == pytest.approx(17.302, abs=1e-3)
     assert written["cost_total"] == metrics["cost_total"]
@@ -55,7 +55,7 @@ def test_metrics_file_is_flat_json(complete):
 def test_config_file_composes_the_same_run(complete):
     config, _, folder = complete
     written = OmegaConf.to_container(OmegaConf.load(folder / "config.yaml"))
-    assert written["planner"]["max_time_s"] == 20.0
+    assert written["planner"]["max_time_s"] == 24.0
     assert written["scenario"]["start"] == config.scenario.start
 
 

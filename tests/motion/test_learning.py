@@ -14,7 +14,7 @@ from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import oracle
 from uwirl.snr.measurements import take_readings
 from uwirl.study.evaluation import cost_of_weights, evaluate
-from uwirl.world.random import RandomStreams, Stream
+from uwirl.world.random import RandomStreams
 
 SHORT = ("planner.max_time_s=45", "planner.tolerance_weights=0")
 
@@ -41,7 +41,7 @@ def judge(make_config):
     def costs(env, planner, weights):
         targets = mean_channel_targets(env.scenario, env.channel)
         cost = build.make_cost(make_config().cost, env.channel, targets, env.vehicle.tau_max)
-        return cost_of_weights(env, planner.policy, weights, cost, targets, env.scenario.start[None])[:, 0]
+        return cost_of_weights(env, planner.policy, weights[:, None], cost, targets, env.scenario.start[None])[:, 0]
 
     return costs
 
@@ -102,7 +102,7 @@ def test_z_rls_equals_batch_least_squares_in_flight(learn, monkeypatch):
 def test_parallel_worlds_teach_one_learner(learn, judge):
     env, planner, records = learn("experience=parallel", "experience.worlds=20", "planner.max_time_s=800")
     assert records[-1].actor.shape == (1, 17)
-    assert records[0].seconds == 10.0 + 20 * 20.0
+    assert records[0].seconds == 14.0 + 20 * 20.0
     assert float(judge(env, planner, records[-1].actor)[0]) < 3.6
 
 
@@ -129,7 +129,7 @@ def test_pd_flies_to_the_target(make_config, make_relay):
 
 def test_excitation_has_its_power_and_band():
     excitation = Excitation((36.0, 36.0, 18.0, 3.0), (1.0, 1.0), (0.2, 4.2))
-    wave = excitation.draw(RandomStreams.worlds(0, 200), leg=0, steps=4000, dt=0.05)
+    wave = excitation.draw(RandomStreams.worlds(0, 200), vehicles=1, leg=0, steps=4000, dt=0.05)
     torch.testing.assert_close(
         wave.square().mean((0, 1)).sqrt(), torch.tensor(excitation.rms, dtype=torch.float64), rtol=0.02, atol=0
     )
@@ -141,7 +141,7 @@ def test_excitation_has_its_power_and_band():
 
 def test_poses_fill_their_box():
     draw = PoseDraw(44.0, 17.6, 8.0, 2.0, near_share=0.2, near_scale=0.15)
-    pose = draw.draw(RandomStreams.worlds(0, 20_000), Stream.INITIAL_STATE, 0)
+    pose = draw.draw(RandomStreams.worlds(0, 20_000), 1, 0)
     half = torch.tensor([44.0, 17.6, 8.0, 2.0], dtype=torch.float64)
     assert (pose.abs() <= half).all()
     assert (pose.abs().amax(0) > 0.99 * half).all()

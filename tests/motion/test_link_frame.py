@@ -35,11 +35,12 @@ def test_seen_as_places_the_vehicle_where_drawn():
 def test_relabelled_flight_is_the_flight_from_the_other_pose(make_relay):
     """The dynamics do not change under translation and yaw: relabelling equals flying there."""
     env: Relay = make_relay()
-    start = VehicleState.from_eta_nu(normal(3, 1, 4), 0.3 * normal(3, 1, 4, seed=1))
+    mid_water = torch.tensor([0.0, 0.0, -10.0, 0.0], dtype=torch.float64)
+    start = VehicleState.from_eta_nu(normal(3, 1, 4) + mid_water, 0.3 * normal(3, 1, 4, seed=1))
     tau = 20.0 * normal(60, 3, 1, 4, seed=2)
     frame = LinkFrame(torch.zeros(1, 3, dtype=torch.float64), torch.zeros(1, dtype=torch.float64))
     flown = frame.relative(env.rollout(lambda _, k: tau[k], start, 60).states)
-    pose = 5.0 * normal(3, 1, 4, seed=3)
+    pose = 2.0 * normal(3, 1, 4, seed=3) + mid_water
     elsewhere = env.rollout(lambda _, k: tau[k], VehicleState.from_eta_nu(pose, start.nu), 60)
     torch.testing.assert_close(relabel(flown, pose), frame.relative(elsewhere.states), rtol=0, atol=1e-11)
 

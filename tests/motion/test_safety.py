@@ -12,7 +12,9 @@ from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay
 from uwirl.world.vehicle import Vehicle, VehicleState
 
-GUARD = EnergyGuard(margin_m=0.1, alpha=2.0, mass_upper_kg=30.0, mass_lower_kg=12.0, brake_force_N=80.0)
+GUARD = EnergyGuard(
+    margin_m=0.1, separation_m=1.0, alpha=2.0, mass_upper_kg=30.0, mass_lower_kg=12.0, brake_force_N=80.0
+)
 WORLDS = 160
 
 

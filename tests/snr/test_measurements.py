@@ -10,12 +10,12 @@ import torch
 from scipy import stats
 from torch import Tensor
 
+from uwirl import build
 from uwirl.snr.measurements import Readings, take_readings
 from uwirl.world.acoustics import Channel
-from uwirl.world.obstacles import no_obstacles
 from uwirl.world.random import RandomStreams
 from uwirl.world.relay import Relay
-from uwirl.world.scenario import Scenario, spread_sensors
+from uwirl.world.scenario import spread_sensors
 from uwirl.world.vehicle import Vehicle
 
 SOURCE, DESTINATION = [-30.0, -30.0, -8.0], [30.0, 30.0, -8.0]
@@ -28,7 +28,9 @@ def env(request: pytest.FixtureRequest, make_config) -> Relay:
     config = make_config(f"channel={request.param}")
     sensors = spread_sensors(SENSORS, 0, SOURCE, DESTINATION, torch.float64)
     source, destination, start = (torch.tensor(v, dtype=torch.float64) for v in (SOURCE, DESTINATION, START))
-    scenario = Scenario(source, destination, start, sensors, no_obstacles(), 0.3, 0.05, 80.0)
+    scenario = replace(
+        build.make_scenario(config), source=source, destination=destination, start=start, sensors=sensors
+    )
     channel, vehicle = Channel(**asdict(config.channel)), Vehicle(**asdict(config.vehicle))
     return Relay(scenario, vehicle, channel, RandomStreams.worlds(3, 4))
 

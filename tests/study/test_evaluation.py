@@ -22,7 +22,8 @@ def evaluation_of(capacity: list[float], optimum: float = 100.0, dt: float = 0.5
     cost = {"link": torch.tensor([1.5]), "vehicle": torch.tensor([0.25]), "control": torch.tensor([0.5])}
     clearance = torch.full((n + 1, 1, 1), 0.5)
     clearance[1] = -0.25
-    return Evaluation(Trajectory(components, tau, dt), links, optimum, clearance, cost)
+    blocked = torch.zeros(1, 1, dtype=torch.bool)
+    return Evaluation(Trajectory(components, tau, dt), links, optimum, clearance, blocked, cost)
 
 
 @pytest.mark.parametrize(

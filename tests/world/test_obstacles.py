@@ -1,4 +1,4 @@
-"""Cylinders: clearances by hand, masks, drift, contacts and the avoidance term."""
+"""Cylinders: clearances by hand, masks, drift and contacts."""
 
 import math
 
@@ -37,12 +37,12 @@ def test_depth_does_not_matter():
     )
 
 
-def test_absent_cylinders_are_infinitely_far_and_cost_nothing():
+def test_absent_cylinders_are_infinitely_far():
     some = cylinders([[1.0, 0.0], [0.5, 0.5]], [0.5, 0.2], present=[True, False])
     one = cylinders([[1.0, 0.0]], [0.5])
     p = at((0.0, 0.0, 0.0))
     torch.testing.assert_close(some.clearance(p, 0.3).amin(-1), one.clearance(p, 0.3).amin(-1))
-    torch.testing.assert_close(some.avoidance(p), one.avoidance(p))
+    assert some.distance(p)[0].tolist() == [1.0, math.inf]
 
 
 def test_worlds_with_other_obstacles():
@@ -60,14 +60,6 @@ def test_drifting_cylinder_meets_a_resting_vehicle():
     assert contacts(gap[:, 0].amin(-1)) == 1
 
 
-def test_avoidance_vanishes_at_the_influence_radius_and_beyond():
-    obstacles = cylinders([[0.0, 0.0]], [2.0])
-    l = torch.tensor([3.0, 5.99, 6.0, 8.0, 10.0], dtype=torch.float64)
-    position = torch.stack([l, torch.zeros(5), torch.zeros(5)], -1).double()
-    expected = torch.tensor([(1 / 3 - 1 / 6) ** 2, (1 / 5.99 - 1 / 6) ** 2, 0.0, 0.0, 0.0], dtype=torch.float64)
-    torch.testing.assert_close(obstacles.avoidance(position), expected)
-
-
 @pytest.mark.parametrize(
     ("clearance", "count"),
     [([1.0, -1.0, -2.0, 1.0, -1.0], 2), ([-1.0, -1.0, 1.0], 1), ([1.0, 0.0, 1.0], 0), ([-1.0], 1)],
@@ -80,4 +72,11 @@ def test_free_water():
     free = no_obstacles()
     p = at((1.0, 2.0, 3.0))
     assert free.clearance(p, 0.3).shape == (1, 0)
-    assert float(free.avoidance(p)) == 0.0
+
+
+def test_worlds_of_a_batch():
+    obstacles = cylinders([[[3.0, 0.0]], [[0.0, 7.0]]], [[1.0], [2.0]])
+    second = obstacles.worlds(torch.tensor([1]))
+    assert second.centre.tolist() == [[[0.0, 7.0]]]
+    shared = cylinders([[3.0, 0.0]], [1.0])
+    assert shared.worlds(torch.tensor([1])) is shared

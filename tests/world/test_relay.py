@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import pairwise
 
 import pytest
 import torch
 from torch import Tensor
 
+from uwirl import build
 from uwirl.world.acoustics import Channel
-from uwirl.world.obstacles import no_obstacles
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import DivergedError, Relay
-from uwirl.world.scenario import Scenario, spread_sensors
+from uwirl.world.scenario import spread_sensors
 from uwirl.world.vehicle import Vehicle, VehicleState
 
 SOURCE, DESTINATION = [-30.0, -30.0, -8.0], [30.0, 30.0, -8.0]
@@ -30,8 +30,8 @@ def tensor(values: list) -> Tensor:
 def env(make_config) -> Relay:
     """Two vehicles between the paper's nodes."""
     config = make_config()
-    scenario = Scenario(
-        tensor(SOURCE), tensor(DESTINATION), tensor(START), torch.zeros(0, 3), no_obstacles(), 0.3, 0.05, 80.0
+    scenario = replace(
+        build.make_scenario(config), source=tensor(SOURCE), destination=tensor(DESTINATION), start=tensor(START)
     )
     streams = RandomStreams.worlds(11, WORLDS)
     return Relay(scenario, Vehicle(**asdict(config.vehicle)), Channel(**asdict(config.channel)), streams)

@@ -155,7 +155,7 @@ class _Judge:
         self.guard = build.make_guard(config)
 
     def fly(self, policy: Policy) -> Evaluation:
-        return evaluate(self.env, self.guard(self.env, policy), self.cost, self.targets, self.env.reset())
+        return evaluate(self.env, policy, self.cost, self.targets, self.env.reset(), self.guard)
 
     def iterates(self, planner: LearningPlanner, records: list[IterationRecord]) -> tuple[Evaluation, list[float]]:
         """The start policy's mission, and J of every iterate."""
@@ -163,7 +163,7 @@ class _Judge:
         planner.policy.actor.weight.copy_(planner.start_weights)
         start = self.fly(planner.lead(planner.policy))
         planner.policy.actor.weight.copy_(learned)
-        weights = torch.cat([record.actor[:1] for record in records])
+        weights = torch.stack([record.actor[: self.env.scenario.vehicles] for record in records])
         starts = self.env.scenario.start[None]
         costs = cost_of_weights(
             self.env, planner.policy, weights, self.cost, self.targets, starts, planner.lead, self.guard

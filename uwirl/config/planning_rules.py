@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import combinations
 
 from uwirl.config.checks import AXES, ConfigError, each, finite, named, one_of, positive, steps
 from uwirl.config.schema import (
@@ -17,15 +18,16 @@ from uwirl.config.schema import (
     ParallelConfig,
     PdConfig,
     PlannerConfig,
+    PrintedCostConfig,
     RlsSolverConfig,
     SafetyConfig,
     ScenarioConfig,
     SolverConfig,
-    VehicleConfig,
     VirtualLinksConfig,
 )
+from uwirl.config.world_rules import current_drag_N
 
-# Of a route map: 4 million nodes take about 2 GB while it is solved.
+# Of all vehicles' route maps: 4 million nodes take about 2 GB while it is solved.
 MAX_NODES = 4_000_000
 # Batch solvers by name, and whether each is bounded.
 BATCH = {"batch": False, "bounded_batch": True}
@@ -35,12 +37,19 @@ def check_cost(cost: CostConfig) -> None:
     positive(cost.beta_1, "cost.beta_1")
     positive(cost.beta_2, "cost.beta_2", zero=True)
     positive(cost.yaw_weight, "cost.yaw_weight", zero=True)
+    here = "printed" if isinstance(cost, PrintedCostConfig) else "smooth"
+    named(cost.avoidance, "cost.avoidance", ("smooth", "printed"), [here])
+    if isinstance(cost, PrintedCostConfig):
+        if not 0.0 < cost.left_m < cost.right_m:
+            raise ConfigError("cost.left_m", f"must lie between 0 and right_m = {cost.right_m:g}, got {cost.left_m:g}")
+        if not 0.0 < cost.kappa_2 < cost.kappa_1 < 1.0:
+            raise ConfigError("cost.kappa_1", "needs 0 < kappa_2 < kappa_1 < 1 (Remark 2)")
     finite(cost.R, "cost.R", 4)
     if min(cost.R) <= 0.0:
         raise ConfigError("cost.R", f"must be positive definite, that is all four greater than 0, got {cost.R}")
 
 
-def check_safety(safety: SafetyConfig, vehicle: VehicleConfig) -> None:
+def check_safety(safety: SafetyConfig, config: Config) -> None:
     named(
         safety.name, "safety.name", ("energy", "none"), ["energy" if isinstance(safety, EnergyGuardConfig) else "none"]
     )
@@ -50,23 +59,43 @@ def check_safety(safety: SafetyConfig, vehicle: VehicleConfig) -> None:
             positive(getattr(safety, name), f"safety.{name}")
         if safety.mass_upper_kg < safety.mass_lower_kg:
             raise ConfigError("safety.mass_upper_kg", f"lies below safety.mass_lower_kg = {safety.mass_lower_kg:g}")
-        thrust = min(vehicle.tau_max[:2])
-        if safety.brake_force_N > thrust:
-            raise ConfigError(
-                "safety.brake_force_N", f"exceeds the horizontal thrust of {thrust:g} N (vehicle.tau_max)"
-            )
+        _check_brake(safety, config)
+        positive(safety.separation_m, "safety.separation_m")
+        start = config.scenario.start
+        for (i, one), (j, other) in combinations(enumerate(start), 2):
+            if math.dist(one[:3], other[:3]) < safety.separation_m:
+                raise ConfigError(
+                    f"scenario.start[{j}]",
+                    f"is closer than safety.separation_m = {safety.separation_m:g} m to vehicle {i}",
+                )
+
+
+def _check_brake(safety: EnergyGuardConfig, config: Config) -> None:
+    """What is left of the thrust when weight and current have taken their share must suffice for braking."""
+    vehicle = config.vehicle
+    thrust = min(vehicle.tau_max[:2])
+    if len(config.scenario.start) > 1:
+        thrust = min(thrust, vehicle.tau_max[2] - abs(vehicle.weight_N - vehicle.buoyancy_N))
+    thrust -= current_drag_N(config.scenario, vehicle)
+    if safety.brake_force_N > thrust:
+        raise ConfigError(
+            "safety.brake_force_N",
+            f"exceeds the {thrust:.3g} N of vehicle.tau_max that weight and current leave for braking",
+        )
 
 
 def check_guidance(guidance: GuidanceConfig, scenario: ScenarioConfig) -> None:
     here = "geodesic" if isinstance(guidance, GeodesicConfig) else "straight"
     named(guidance.name, "guidance.name", ("straight", "geodesic"), [here])
     if isinstance(guidance, GeodesicConfig):
-        for name in ("gain", "lateral_damping", "spacing_m"):
+        for name in ("gain", "lateral_damping", "heading_stiffness", "heading_damping", "spacing_m"):
             positive(getattr(guidance, name), f"guidance.{name}")
-        span = math.dist(scenario.source_m[:2], scenario.destination_m[:2])
-        if (span / guidance.spacing_m) ** 2 > MAX_NODES:
+        places = [scenario.source_m, scenario.destination_m, *scenario.start, *(o.center_m for o in scenario.obstacles)]
+        sides = [max(p[axis] for p in places) - min(p[axis] for p in places) for axis in (0, 1)]
+        nodes = math.prod(side / guidance.spacing_m for side in sides) * len(scenario.start)
+        if nodes > MAX_NODES:
             raise ConfigError(
-                "guidance.spacing_m", f"makes a map of more than {MAX_NODES:,} nodes; choose a larger one"
+                "guidance.spacing_m", f"makes maps of {nodes:,.0f} nodes, of which memory holds {MAX_NODES:,}; choose a larger one"
             )
 
 
@@ -117,8 +146,6 @@ def check_planner(planner: PlannerConfig, group: str, config: Config) -> None:
     dt = config.scenario.dt_s
     named(planner.name, f"{group}.name", ("irl", "pd"), ["irl" if isinstance(planner, IrlConfig) else "pd"])
     steps(planner.calibration_s, dt, f"{group}.calibration_s", least=4)
-    if len(config.scenario.start) != 1:
-        raise ConfigError("scenario.start", f"planners fly one vehicle so far, got {len(config.scenario.start)}")
     if isinstance(planner, PdConfig):
         each(planner.position_gain, f"{group}.position_gain", 4)
         each(planner.velocity_gain, f"{group}.velocity_gain", 4)

@@ -25,6 +25,11 @@ class ScenarioConfig:
     start: list[Any] = MISSING
     sensors: Any = MISSING  # a number, spread by the seed, or a list of [x, y, z] in m
     obstacles: list[ObstacleConfig] = field(default_factory=list)
+    detection_range_m: float = MISSING  # from hull to hull; .inf where the map is known
+    current_mps: list[float] = MISSING  # mean of the ocean current, inertial [x, y, z]
+    current_std_mps: float = MISSING  # of its Gauss-Markov part, each horizontal component
+    current_time_s: float = MISSING  # correlation time of that part
+    depth_m: float = MISSING  # of the water: vehicles stay in -depth_m <= z <= 0
     vehicle_radius_m: float = MISSING
     dt_s: float = MISSING
     duration_s: float = MISSING
@@ -68,8 +73,18 @@ class BasisConfig:
 class CostConfig:
     beta_1: float = MISSING  # (kbit/s)^2
     beta_2: float = MISSING  # m^2
+    avoidance: str = MISSING  # smooth | printed
     yaw_weight: float = MISSING
     R: list[float] = MISSING  # of tau / tau_max
+
+
+@dataclass
+class PrintedCostConfig(CostConfig):
+    # Remark 2: f falls from kappa_1 at left_m, just within the radius of influence, to kappa_2 at right_m.
+    left_m: float = MISSING
+    right_m: float = MISSING
+    kappa_1: float = MISSING
+    kappa_2: float = MISSING
 
 
 @dataclass
@@ -80,6 +95,7 @@ class SafetyConfig:
 @dataclass
 class EnergyGuardConfig(SafetyConfig):
     margin_m: float = MISSING
+    separation_m: float = MISSING  # between the centres of vehicles
     alpha: float = MISSING  # 1/s
     mass_upper_kg: float = MISSING
     mass_lower_kg: float = MISSING
@@ -166,6 +182,8 @@ class GuidanceConfig:
 class GeodesicConfig(GuidanceConfig):
     gain: float = MISSING  # k of F = k sqrt(q / R_b)
     lateral_damping: float = MISSING  # N s/m
+    heading_stiffness: float = MISSING  # N m, added to the led policy's while routing
+    heading_damping: float = MISSING  # N m s/rad
     spacing_m: float = MISSING  # of the map
 
 
@@ -207,7 +225,7 @@ def register() -> None:
         "vehicle": {"schema": VehicleConfig},
         "estimator": {"schema": EstimatorConfig},
         "basis": {"schema": BasisConfig},
-        "cost": {"schema": CostConfig},
+        "cost": {"schema": CostConfig, "printed_schema": PrintedCostConfig},
         "guidance": {"schema": GuidanceConfig, "geodesic_schema": GeodesicConfig},
         "safety": {"schema": SafetyConfig, "energy_schema": EnergyGuardConfig},
         "solver": {"least_squares_schema": LeastSquaresSolverConfig, "rls_schema": RlsSolverConfig},

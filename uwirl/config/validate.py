@@ -5,7 +5,14 @@ from __future__ import annotations
 from uwirl.config.checks import ConfigError, one_of
 from uwirl.config.planning_rules import check_cost, check_guidance, check_planner, check_safety, check_solver
 from uwirl.config.schema import Config
-from uwirl.config.world_rules import check_channel, check_obstacles, check_scenario, check_vehicle
+from uwirl.config.world_rules import (
+    check_channel,
+    check_current,
+    check_detection,
+    check_obstacles,
+    check_scenario,
+    check_vehicle,
+)
 
 __all__ = ["ConfigError", "validate"]
 
@@ -19,6 +26,7 @@ def validate(config: Config) -> None:
     check_scenario(config.scenario)
     check_channel(config.channel)
     check_vehicle(config.vehicle, config.scenario.dt_s)
+    check_current(config.scenario, config.vehicle)
     one_of(config.estimator.name, "estimator.name", ("least_squares", "oracle"))
     one_of(config.basis.name, "basis.name", ("link_frame", "error_quadratic", "error_velocity"))
     if config.basis.name == "link_frame":
@@ -26,9 +34,10 @@ def validate(config: Config) -> None:
         if not scales or any(not L > 0.0 for L in scales) or len(set(scales)) < len(scales):
             raise ConfigError("basis.length_scales_m", f"needs one or more different positive lengths, got {scales}")
     check_cost(config.cost)
-    check_guidance(config.guidance, config.scenario)
-    check_safety(config.safety, config.vehicle)
+    check_safety(config.safety, config)
     check_obstacles(config.scenario, config.safety)
+    check_detection(config.scenario, config.vehicle, config.safety)
+    check_guidance(config.guidance, config.scenario)
     check_solver(config.solver)
     check_planner(config.planner, "planner", config)
     check_planner(config.baseline, "baseline", config)

@@ -26,6 +26,18 @@ def check_scenario(scenario: ScenarioConfig) -> None:
         for name, position in others.items():
             if math.dist(eta[:3], position) < 1e-6:
                 raise ConfigError(key, f"{eta[:3]} coincides with {name}, where the SNR is infinite; move it away")
+    positive(scenario.depth_m, "scenario.depth_m")
+    for key, places in (
+        ("source_m", [scenario.source_m]),
+        ("destination_m", [scenario.destination_m]),
+        ("start", scenario.start),
+    ):
+        for place in places:
+            if not -scenario.depth_m <= place[2] <= 0.0:
+                raise ConfigError(
+                    f"scenario.{key}",
+                    f"{place[:3]} is not in the water, -{scenario.depth_m:g} <= z <= 0 (scenario.depth_m)",
+                )
     positive(scenario.dt_s, "scenario.dt_s")
     steps(scenario.duration_s, scenario.dt_s, "scenario.duration_s")
     positive(scenario.vehicle_radius_m, "scenario.vehicle_radius_m")
@@ -33,12 +45,13 @@ def check_scenario(scenario: ScenarioConfig) -> None:
 
 
 def check_obstacles(scenario: ScenarioConfig, safety: SafetyConfig) -> None:
-    """Well-formed, and neither on a start nor on the target, with the guard's margin."""
+    """Well-formed, and neither on a start nor on a target, with the guard's margin."""
     margin = safety.margin_m if isinstance(safety, EnergyGuardConfig) else 0.0
-    middle = [(a + b) / 2.0 for a, b in zip(scenario.source_m, scenario.destination_m, strict=True)]
     occupied = {f"the start of vehicle {i}": eta for i, eta in enumerate(scenario.start)}
-    if len(scenario.start) == 1:
-        occupied["the target"] = middle
+    hops = len(scenario.start) + 1
+    for i in range(1, hops):
+        ends = zip(scenario.source_m, scenario.destination_m, strict=True)
+        occupied[f"the target of vehicle {i - 1}"] = [a + i / hops * (b - a) for a, b in ends]
     for i, obstacle in enumerate(scenario.obstacles):
         key = f"scenario.obstacles[{i}]"
         finite(obstacle.center_m, f"{key}.center_m", 2)
@@ -50,6 +63,46 @@ def check_obstacles(scenario: ScenarioConfig, safety: SafetyConfig) -> None:
             gap = math.dist(position[:2], obstacle.center_m) - obstacle.radius_m - scenario.vehicle_radius_m
             if gap < margin:
                 raise ConfigError(key, f"leaves {gap:.3g} m to {name}, the guard needs {margin:g} m; move one of them")
+
+
+def check_current(scenario: ScenarioConfig, vehicle: VehicleConfig) -> None:
+    """Finite, and weak enough for every thruster to hold against it."""
+    finite(scenario.current_mps, "scenario.current_mps", 3)
+    positive(scenario.current_std_mps, "scenario.current_std_mps", zero=True)
+    positive(scenario.current_time_s, "scenario.current_time_s")
+    drag = current_drag_N(scenario, vehicle)
+    if drag >= min(vehicle.tau_max[:3]):
+        raise ConfigError(
+            "scenario.current_mps", f"drags with up to {drag:.3g} N, more than vehicle.tau_max can hold against"
+        )
+
+
+def current_drag_N(scenario: ScenarioConfig, vehicle: VehicleConfig) -> float:
+    """Largest drag of the current on a resting vehicle, the Gauss-Markov part taken at three standard deviations."""
+    speed = math.hypot(*scenario.current_mps) + 3.0 * scenario.current_std_mps
+    return max(
+        linear * speed + quadratic * speed**2
+        for linear, quadratic in zip(vehicle.linear_damping[:3], vehicle.quadratic_damping[:3], strict=True)
+    )
+
+
+def check_detection(scenario: ScenarioConfig, vehicle: VehicleConfig, safety: SafetyConfig) -> None:
+    """An obstacle must be seen before it is too late to brake, at the terminal speed of full thrust."""
+    if not scenario.detection_range_m > 0.0:
+        raise ConfigError("scenario.detection_range_m", f"must be greater than 0, got {scenario.detection_range_m:g}")
+    if not isinstance(safety, EnergyGuardConfig):
+        return
+    linear, quadratic = min(vehicle.linear_damping[:2]), min(vehicle.quadratic_damping[:2])
+    thrust = math.hypot(*vehicle.tau_max[:2])
+    speed = (math.sqrt(linear**2 + 4.0 * quadratic * thrust) - linear) / (2.0 * quadratic)
+    speed += math.hypot(*scenario.current_mps) + 3.0 * scenario.current_std_mps
+    speed += max((math.hypot(*obstacle.velocity_mps) for obstacle in scenario.obstacles), default=0.0)
+    braking = safety.margin_m + speed * scenario.dt_s + safety.mass_upper_kg * speed**2 / (2.0 * safety.brake_force_N)
+    if scenario.detection_range_m < braking:
+        raise ConfigError(
+            "scenario.detection_range_m",
+            f"{scenario.detection_range_m:g} m is less than the {braking:.3g} m in which {speed:.3g} m/s is braked",
+        )
 
 
 def check_sensors(scenario: ScenarioConfig) -> None:

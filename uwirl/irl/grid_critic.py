@@ -8,6 +8,7 @@ minima globally, which quadratic and network critics do not.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -71,6 +72,19 @@ class GridMap:
     origin: Tensor
     spacing: float
     rounds: Tensor
+
+    @classmethod
+    def stack(cls, maps: Sequence[GridMap]) -> GridMap:
+        """Maps of one grid as one batch."""
+        value, descent, target, rounds = (
+            torch.cat([getattr(m, name) for m in maps]) for name in ("value", "descent", "target", "rounds")
+        )
+        return cls(value, descent, target, maps[0].origin, maps[0].spacing, rounds)
+
+    def put(self, index: Tensor, others: GridMap) -> None:
+        """Replace the maps at index [K] by K others of the same grid, in place."""
+        for name in ("value", "descent", "target", "rounds"):
+            getattr(self, name)[index] = getattr(others, name)
 
     def value_at(self, p: Tensor) -> Tensor:
         """Phi at positions p [B, Q, 2] by bilinear interpolation, [B, Q]."""

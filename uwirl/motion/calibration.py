@@ -10,14 +10,15 @@ from uwirl.motion.cost import RelayCost
 from uwirl.motion.link_frame import LinkFrame
 from uwirl.motion.policy import LinkFramePolicy
 from uwirl.motion.safety import Guard
-from uwirl.world.relay import Relay
-from uwirl.world.vehicle import VehicleState
+from uwirl.world.relay import Relay, Trajectory
 
 
 def calibration_hover(
     env: Relay, actor: LinearActor, cost: RelayCost, seconds: float, guard: Guard
-) -> tuple[VehicleState, Tensor]:
-    """Hold a point 1 m ahead and 1 m abeam with the start policy: what trim does it take, and is the policy admissible?
+) -> tuple[Trajectory, Tensor]:
+    """Hold a point nearby with the start policy: what trim does it take, and is the policy admissible?
+
+    The point lies 1 m ahead, 1 m abeam and, at the surface or the floor, off it, where it would carry the vehicle.
 
     Args:
         env: the worlds.
@@ -27,7 +28,7 @@ def calibration_hover(
         guard: between policy and thrusters.
 
     Returns:
-        The state afterwards, and tau_trim [L, 4], the mean control over the last quarter of the hover.
+        The flight, and tau_trim [L, 4], the mean control over the last quarter of the hover.
 
     Raises:
         InadmissiblePolicyError: the cost grew instead of falling.
@@ -36,7 +37,7 @@ def calibration_hover(
     steps = round(seconds / env.scenario.dt)
     quarter = steps // 4
     pose = state.components.new_tensor([1.0, 1.0, 0.0, 0.0]).expand(*state.components.shape[1:], 4)
-    frame = LinkFrame.seen_as(state, pose)
+    frame = LinkFrame.seen_as(state, pose).within(env.scenario.depth)
     no_trim = actor.weight.new_zeros(4)
     trajectory = env.rollout(guard(env, LinkFramePolicy(frame, actor, no_trim)), state, steps)
     running = cost.state(frame.relative(trajectory.states)).flatten(1)
@@ -46,4 +47,4 @@ def calibration_hover(
             f"planner: the start policy is not admissible: holding a point 1.4 m away, its running cost grew from "
             f"{before:.3g} to {after:.3g} in {seconds:g} s; start from a damped policy (planner.start_gain > 0)"
         )
-    return trajectory.last, trajectory.tau[-quarter:].double().mean(0).flatten(0, 1)
+    return trajectory, trajectory.tau[-quarter:].double().mean(0).flatten(0, 1)

@@ -10,11 +10,14 @@ target.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import torch
 from torch import Tensor
 
+from uwirl.motion.avoidance import Avoidance
 from uwirl.world.acoustics import Channel
+from uwirl.world.obstacles import Obstacles
 
 
 class RelayCost:
@@ -28,6 +31,7 @@ class RelayCost:
         yaw_weight: without this small term the optimal yaw weights are zero.
         R: control weights of an effort normalised by the thruster limits, [4].
         tau_max: [4].
+        avoidance: E_O.
     """
 
     def __init__(
@@ -39,12 +43,14 @@ class RelayCost:
         yaw_weight: float,
         R: Sequence[float],
         tau_max: Tensor,
+        avoidance: Avoidance,
     ):
         self.channel = channel
         self.neighbours = neighbours
         self.beta_1 = beta_1
         self.beta_2 = beta_2
         self.yaw_weight = yaw_weight
+        self.avoidance = avoidance
         # In newtons, R would make 0.16 m/s optimal and the mission would never end.
         self.R = torch.tensor(list(R), dtype=tau_max.dtype, device=tau_max.device) / tau_max**2
         self.minimum = self._inverse_square_capacity(neighbours.new_zeros(*neighbours.shape[:-2], 3))
@@ -66,12 +72,22 @@ class RelayCost:
         """The yaw term, [..., M]."""
         return self.yaw_weight * (1.0 - torch.cos(xi[..., 3]))
 
-    def obstacle(self, avoidance: Tensor) -> Tensor:
-        """The avoidance term, [..., M], of E_O [..., M].
+    def of(self, vehicle: Tensor) -> RelayCost:
+        """The cost of some vehicles, by their numbers [K], which count on over all worlds; the K are the new M."""
+        one = copy(self)
+        vehicle = vehicle % self.neighbours.shape[-3]
+        one.neighbours, one.minimum = self.neighbours[vehicle], self.minimum[vehicle]
+        return one
+
+    def obstacle(self, obstacles: Obstacles, position: Tensor, time: Tensor | float = 0.0) -> Tensor:
+        """The avoidance term, [..., M], at [..., M, 3] and a time in s, a number or [...].
 
         A virtual link moves its frame, obstacles stay: so this is no function of xi and no part of `state`.
         """
-        return self.beta_2 * avoidance
+        if obstacles.count == 0:
+            return torch.zeros_like(position[..., 0])
+        l = obstacles.distance(position, time)
+        return self.beta_2 * self.avoidance(l, obstacles.influence[..., None, :])
 
     def state(self, xi: Tensor) -> Tensor:
         """All of q that depends on xi alone, [..., M]."""

@@ -27,9 +27,10 @@ class Excitation:
     strength: tuple[float, float]
     band_rad_s: tuple[float, float]
 
-    def draw(self, streams: RandomStreams, leg: int, steps: int, dt: float) -> Tensor:
-        """[n, B, 4]."""
-        u = streams.uniform(Stream.EXPLORATION, leg, 1 + 8 * FREQUENCIES)
+    def draw(self, streams: RandomStreams, vehicles: int, leg: int, steps: int, dt: float) -> Tensor:
+        """[n, B M, 4]."""
+        numbers = 1 + 8 * FREQUENCIES
+        u = streams.uniform(Stream.EXPLORATION, leg, vehicles * numbers).view(-1, numbers)
         omega, phase = u[:, 1:].view(-1, 2, 4, FREQUENCIES).unbind(1)
         omega = self.band_rad_s[0] + (self.band_rad_s[1] - self.band_rad_s[0]) * omega
         strength = self.strength[0] + (self.strength[1] - self.strength[0]) * u[:, :1]
@@ -56,9 +57,9 @@ class PoseDraw:
     near_share: float
     near_scale: float
 
-    def draw(self, streams: RandomStreams, stream: Stream, step: int) -> Tensor:
-        """(e_par, e_perp, e_z, psi~), [B, 4]."""
-        u = streams.uniform(stream, step, 5)
+    def draw(self, streams: RandomStreams, vehicles: int, step: int) -> Tensor:
+        """(e_par, e_perp, e_z, psi~), [B M, 4]."""
+        u = streams.uniform(Stream.INITIAL_STATE, step, 5 * vehicles).view(-1, 5)
         near = u[:, 4:] < self.near_share
         plane = torch.where(near, self.near_scale, 1.0)
         up = torch.where(near, 2.0 * self.near_scale, 1.0)

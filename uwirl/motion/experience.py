@@ -23,9 +23,8 @@ from uwirl.motion.link_frame import LinkFrame, relabel
 from uwirl.motion.policy import LinkFramePolicy
 from uwirl.motion.safety import Guard
 from uwirl.world.obstacles import contacts
-from uwirl.world.random import RandomStreams, Stream
+from uwirl.world.random import RandomStreams
 from uwirl.world.relay import Relay, Trajectory
-from uwirl.world.vehicle import VehicleState
 
 
 @dataclass(frozen=True)
@@ -72,8 +71,11 @@ class Recorder:
             contacts(env.scenario.clearance(trajectory.states.position, trajectory.time[:, None])).sum()
         )
 
-    def segment(self, xi: Tensor, tau: Tensor, dt: float) -> Segment:
-        """Windows [S, ...] of xi [n + 1, ..., 8] under held tau [n, ..., 4]."""
+    def segment(self, xi: Tensor, tau: Tensor, afloat: Tensor, dt: float) -> Segment:
+        """Windows [S, ...] of xi [n + 1, ..., 8] under held tau [n, ..., 4].
+
+        Windows in which `afloat` [n + 1, ...] is false count for nothing: surface and floor push too.
+        """
         segment = self.operator.segment(
             self.basis.critic(xi),
             self.basis.actor(xi),
@@ -84,7 +86,8 @@ class Recorder:
             self.window.stride,
         )
         mean_cost = segment.cost / (self.window.steps * dt)
-        return segment.weighted(1.0 / (mean_cost + self.floor))
+        counts = afloat.unfold(0, self.window.steps + 1, self.window.stride).all(-1)
+        return segment.weighted(counts / (mean_cost + self.floor))
 
 
 @dataclass(frozen=True)
@@ -105,31 +108,30 @@ class VirtualLinks:
     pose: PoseDraw
 
     def fly(
-        self, env: Relay, state: VehicleState, actor: LinearActor, recorder: Recorder, guard: Guard
+        self, env: Relay, hover: Trajectory, actor: LinearActor, recorder: Recorder, guard: Guard
     ) -> Iterator[Experience]:
         """Stretches of experience, one a leg, flown with whatever the actor's weights are at the time.
 
-        The B M vehicles of the state learn independently, L = B M.
+        The B M vehicles of the hover, which comes before, learn independently, L = B M.
         """
-        dt = env.scenario.dt
+        dt, vehicles, flown = env.scenario.dt, env.scenario.vehicles, hover
         steps = round(self.leg_s / dt)
         leg = 0
         while True:
-            pose = self.pose.draw(env.streams, Stream.INITIAL_STATE, leg * (1 + self.relabel))
-            trajectory, xi = _fly_leg(env, state, pose, actor, recorder, self.excitation, guard, leg, steps)
-            tau = trajectory.tau.flatten(1, 2)
+            pose = self.pose.draw(env.streams, vehicles, leg * (1 + self.relabel))
+            flown, xi = _fly_leg(env, flown, pose, actor, recorder, self.excitation, guard, leg, steps)
+            tau, afloat = flown.tau.flatten(1, 2), _afloat(env, flown)
             weight = math.exp(-(leg + 1) * self.leg_s / self.relabel_time_s) if self.relabel else 0.0
             relabelled = None
             # Below a thousandth the relabelled windows no longer matter and are not made.
             if weight > 1e-3:
                 copies = [
-                    relabel(xi, self.pose.draw(env.streams, Stream.INITIAL_STATE, leg * (1 + self.relabel) + k))
+                    relabel(xi, self.pose.draw(env.streams, vehicles, leg * (1 + self.relabel) + k))
                     for k in range(1, 1 + self.relabel)
                 ]
-                segments = [recorder.segment(copy, tau, dt) for copy in copies]
+                segments = [recorder.segment(copy, tau, afloat, dt) for copy in copies]
                 relabelled = Segment(*(torch.cat(parts) for parts in zip(*segments, strict=True)))
-            yield Experience(recorder.segment(xi, tau, dt), relabelled, weight, self.leg_s)
-            state = trajectory.last
+            yield Experience(recorder.segment(xi, tau, afloat, dt), relabelled, weight, self.leg_s)
             leg += 1
 
 
@@ -149,7 +151,7 @@ class Parallel:
     pose: PoseDraw
 
     def fly(
-        self, env: Relay, state: VehicleState, actor: LinearActor, recorder: Recorder, guard: Guard
+        self, env: Relay, hover: Trajectory, actor: LinearActor, recorder: Recorder, guard: Guard
     ) -> Iterator[Experience]:
         """Stretches of experience; the vehicle seconds of all worlds are counted. One learner, L = 1."""
         dt = env.scenario.dt
@@ -158,21 +160,21 @@ class Parallel:
             env.streams.seed[:1].expand(self.worlds), torch.arange(self.worlds, device=env.streams.seed.device)
         )
         env = Relay(env.scenario, env.vehicle, env.channel, streams)
-        state = VehicleState(state.components[:, :1, :1].expand(-1, self.worlds, 1).contiguous())
+        start = hover.components[-1:, :, :1, :1].expand(-1, -1, self.worlds, 1).contiguous()
+        flown = Trajectory(start, hover.tau[:0], dt, hover.first_step + len(hover.tau))
         leg = 0
         while True:
-            pose = self.pose.draw(streams, Stream.INITIAL_STATE, leg)
-            trajectory, xi = _fly_leg(env, state, pose, actor, recorder, self.excitation, guard, leg, steps)
-            windows = recorder.segment(xi, trajectory.tau.flatten(1, 2), dt)
+            pose = self.pose.draw(streams, 1, leg)
+            flown, xi = _fly_leg(env, flown, pose, actor, recorder, self.excitation, guard, leg, steps)
+            windows = recorder.segment(xi, flown.tau.flatten(1, 2), _afloat(env, flown), dt)
             pooled = Segment(*(part.flatten(0, 1).unsqueeze(1) for part in windows))
             yield Experience(pooled, None, 0.0, self.worlds * self.leg_s)
-            state = trajectory.last
             leg += 1
 
 
 def _fly_leg(
     env: Relay,
-    state: VehicleState,
+    before: Trajectory,
     pose: Tensor,
     actor: LinearActor,
     recorder: Recorder,
@@ -181,12 +183,20 @@ def _fly_leg(
     leg: int,
     steps: int,
 ) -> tuple[Trajectory, Tensor]:
-    """One excited leg towards the virtual link that puts the vehicle at a pose; also xi [n + 1, L, 8]."""
+    """One excited leg, after `before`, to the virtual link that puts the vehicle at a pose; also xi [n + 1, L, 8]."""
+    state = before.last
+    first_step = before.first_step + len(before.tau)
     B, M = state.components.shape[1:]
     dtype = state.components.dtype
-    frame = LinkFrame.seen_as(state, pose.to(dtype).view(B, M, 4))
-    wave = excitation.draw(env.streams, leg, steps, env.scenario.dt).to(dtype).view(steps, B, M, 4)
-    policy = guard(env, LinkFramePolicy(frame, actor, recorder.trim, wave))
-    trajectory = env.rollout(policy, state, steps)
+    frame = LinkFrame.seen_as(state, pose.to(dtype).view(B, M, 4)).within(env.scenario.depth)
+    wave = excitation.draw(env.streams, M, leg, steps, env.scenario.dt).to(dtype).view(steps, B, M, 4)
+    policy = guard(env, LinkFramePolicy(frame, actor, recorder.trim, wave, first_step))
+    trajectory = env.rollout(policy, state, steps, first_step)
     recorder.watch(env, trajectory)
     return trajectory, frame.relative(trajectory.states).flatten(1, 2).double()
+
+
+def _afloat(env: Relay, trajectory: Trajectory) -> Tensor:
+    """Whether a vehicle touches neither surface nor floor, [n + 1, L]."""
+    z = trajectory.components[:, 2].flatten(1)
+    return (z < 0.0) & (z > -env.scenario.depth)

@@ -12,70 +12,23 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from uwirl.irl.grid_critic import GridMap
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.link_frame import LinkFrame
+from uwirl.motion.pilot import Pilot
 from uwirl.motion.policy import LinkFramePolicy, Policy
-from uwirl.motion.route import place_cost, route_map
+from uwirl.motion.route import Router, link_cost
 from uwirl.motion.targets import ChainTargets
 from uwirl.world.relay import Relay
 from uwirl.world.vehicle import VehicleState
 
 Lead = Callable[[LinkFramePolicy], Policy]
-# Plans the way once, for the obstacles as they stand at the start, and leads policies along it.
+# Leads policies to the targets.
 Guidance = Callable[[Relay, RelayCost, ChainTargets], Lead]
 
-# Within NEAR of the target the led policy alone, beyond FAR the route alone, in between a blend, m.
+# Within NEAR of the goal the led policy alone, beyond FAR the route alone, in between a blend, m.
 NEAR, FAR = 1.0, 3.0
-# Least q that sets the pace, or the last metres would take for ever; it shrinks within 2 m of the target.
+# Least q that sets the pace, or the last metres would take for ever; it shrinks within 2 m of the goal.
 PACE_FLOOR = 0.004
-
-
-@dataclass
-class GeodesicPolicy:
-    """Surge and sway along the route; heave and yaw from the policy that also takes over near the target.
-
-    Far from the target that policy's yaw holds the heading along the way, bow or stern first, instead of along the
-    link: moving askew costs the yaw thruster more than the cost's yaw term can be worth.
-
-    Attributes:
-        near: policy for the last metres.
-        route: eikonal map to the target.
-        cost: running cost on the estimated channel.
-        env: supplies obstacles and nodes.
-        gain: k.
-        lateral_damping: force against the velocity across the way, N s/m.
-    """
-
-    near: LinkFramePolicy
-    route: GridMap
-    cost: RelayCost
-    env: Relay
-    gain: float
-    lateral_damping: float
-
-    def __call__(self, state: VehicleState, step: int) -> Tensor:
-        """tau [B, 1, 4]."""
-        tau = self.near(state, step)
-        position, psi = state.position, state.eta[..., 3]
-        places = position[:, 0, :2].double()
-        way = self.route.descent_direction(places[None])[0][:, None].to(tau.dtype)
-        c, s = torch.cos(psi), torch.sin(psi)
-        u = torch.stack([c * way[..., 0] + s * way[..., 1], c * way[..., 1] - s * way[..., 0]], -1)
-        across = torch.stack([-u[..., 1], u[..., 0]], -1)
-        distance = torch.linalg.vector_norm(position[..., :2] - self.near.frame.target[..., :2], dim=-1)
-        q = place_cost(self.env.scenario, self.near.frame, self.cost, position)
-        q = torch.maximum(q, PACE_FLOOR * (distance / 2.0).square().clamp_max(1.0))
-        effort = (self.cost.R[:2] * u.square()).sum(-1)
-        drive = self.gain * torch.sqrt(q / effort)
-        drift = (state.nu[..., :2] * across).sum(-1)
-        force = drive[..., None] * u - self.lateral_damping * drift[..., None] * across
-        # The way's bearing or its opposite, whichever the bow is nearer to.
-        ahead = torch.atan2(way[..., 1], way[..., 0]) + torch.where(u[..., 0] < 0.0, torch.pi, 0.0)
-        held = LinkFramePolicy(LinkFrame(self.near.frame.target, ahead), self.near.actor, self.near.trim)
-        far = torch.cat([force, held(state, step)[..., 2:]], -1)
-        share = ((FAR - distance) / (FAR - NEAR)).clamp(0.0, 1.0)[..., None]
-        return (1.0 - share) * far + share * tau
 
 
 def go_straight(policy: LinkFramePolicy) -> Policy:
@@ -90,19 +43,84 @@ def straight(env: Relay, cost: RelayCost, targets: ChainTargets) -> Lead:
 
 @dataclass(frozen=True)
 class Geodesic:
-    """guidance=geodesic; straight in free water.
+    """guidance=geodesic; straight for a single vehicle in free and still water.
 
     Attributes:
-        gain, lateral_damping: see GeodesicPolicy.
+        gain: k.
+        lateral_damping: force against the velocity across the way, N s/m.
+        heading_stiffness: moment that turns bow or stern into the way, N m.
+        heading_damping: moment against turning, N m s/rad. Both add to the led policy's: at speed the Munk moment
+            (m_v - m_u) u v turns a vehicle broadside if yaw is held as softly as is best at the goal.
         spacing_m: of the map, m.
+        margin_m: clearance below which no way leads, m.
     """
 
     gain: float
     lateral_damping: float
+    heading_stiffness: float
+    heading_damping: float
     spacing_m: float
+    margin_m: float
 
     def __call__(self, env: Relay, cost: RelayCost, targets: ChainTargets) -> Lead:
-        if env.scenario.obstacles.count == 0:
+        scenario = env.scenario
+        if scenario.obstacles.count == 0 and scenario.vehicles == 1 and scenario.current.is_still:
             return go_straight
-        route = route_map(env.scenario, targets.frame, cost, self.spacing_m)
-        return lambda policy: GeodesicPolicy(policy, route, cost, env, self.gain, self.lateral_damping)
+        router = Router(scenario, targets.frame, cost, self.spacing_m, self.margin_m)
+        return lambda policy: GeodesicPolicy(policy, Pilot(env, router), cost, self)
+
+
+@dataclass
+class GeodesicPolicy:
+    """Surge and sway along the way; heave and yaw from the policy that also takes over near the goal.
+
+    Far from the goal the heading is held along the way, bow or stern first, instead of along the link: moving askew
+    costs the yaw thruster more than the cost's yaw term can be worth.
+
+    Attributes:
+        near: policy for the last metres.
+        pilot: knows the way.
+        cost: running cost on the estimated channel.
+        settings: as named.
+    """
+
+    near: LinkFramePolicy
+    pilot: Pilot
+    cost: RelayCost
+    settings: Geodesic
+
+    @property
+    def blocked(self) -> Tensor:
+        """Whether no way led to the vehicle's own target when last looked for, [B, M]."""
+        return self.pilot.blocked
+
+    def __call__(self, state: VehicleState, step: int) -> Tensor:
+        """tau [B, M, 4]."""
+        self.pilot.update(state, step)
+        goal = self.pilot.goal.to(state.components.dtype)
+        way = self.pilot.direction(state).to(goal.dtype)
+        here = LinkFramePolicy(LinkFrame(goal, self.near.frame.bearing), self.near.actor, self.near.trim)
+        tau = here(state, step)
+        distance = torch.linalg.vector_norm(state.position[..., :2] - goal[..., :2], dim=-1)
+        far = self._along(state, step, way, distance)
+        share = ((FAR - distance) / (FAR - NEAR)).clamp(0.0, 1.0)[..., None]
+        return (1.0 - share) * far + share * tau
+
+    def _along(self, state: VehicleState, step: int, way: Tensor, distance: Tensor) -> Tensor:
+        """tau [B, M, 4] that follows the unit vectors of the ways [B, M, 2] at the best pace."""
+        psi = state.eta[..., 3]
+        c, s = torch.cos(psi), torch.sin(psi)
+        u = torch.stack([c * way[..., 0] + s * way[..., 1], c * way[..., 1] - s * way[..., 0]], -1)
+        across = torch.stack([-u[..., 1], u[..., 0]], -1)
+        q = link_cost(self.near.frame, self.cost, state.position) + self.pilot.avoidance(state, step)
+        q = torch.maximum(q - self.pilot.rest_cost, PACE_FLOOR * (distance / 2.0).square().clamp_max(1.0))
+        drive = self.settings.gain * torch.sqrt(q / (self.cost.R[:2] * u.square()).sum(-1))
+        drift = (state.nu[..., :2] * across).sum(-1)
+        force = drive[..., None] * u - self.settings.lateral_damping * drift[..., None] * across
+        # The way's bearing or its opposite, whichever the bow is nearer to.
+        ahead = torch.atan2(way[..., 1], way[..., 0]) + torch.where(u[..., 0] < 0.0, torch.pi, 0.0)
+        led = LinkFramePolicy(LinkFrame(self.pilot.goal, ahead), self.near.actor, self.near.trim)(state, step)
+        hold = (
+            self.settings.heading_stiffness * torch.sin(ahead - psi) - self.settings.heading_damping * state.nu[..., 3]
+        )
+        return torch.cat([force, led[..., 2:3], led[..., 3:] + hold[..., None]], -1)

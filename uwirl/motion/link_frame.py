@@ -40,6 +40,11 @@ class LinkFrame(NamedTuple):
         error = torch.stack([c * along - s * across, s * along + c * across, up], -1)
         return cls(eta[..., :3] - error, bearing)
 
+    def within(self, depth: float) -> LinkFrame:
+        """With the target kept off surface and floor, by a twentieth of the depth in m."""
+        x, y, z = self.target.unbind(-1)
+        return LinkFrame(torch.stack([x, y, z.clamp(-0.95 * depth, -0.05 * depth)], -1), self.bearing)
+
     def relative(self, state: VehicleState) -> Tensor:
         """xi [..., M, 8] of a state [..., M]."""
         x, y, z, psi, *nu = state.components

@@ -24,8 +24,7 @@ from uwirl.motion.safety import Guard
 from uwirl.motion.targets import ChainTargets, mean_channel_targets
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.world.acoustics import Channel
-from uwirl.world.relay import Relay
-from uwirl.world.vehicle import VehicleState
+from uwirl.world.relay import Relay, Trajectory
 
 
 class Planner(Protocol):
@@ -66,7 +65,7 @@ class ExperienceSource(Protocol):
     """Flies the newest policy and yields what it learned from."""
 
     def fly(
-        self, env: Relay, state: VehicleState, actor: LinearActor, recorder: Recorder, guard: Guard
+        self, env: Relay, hover: Trajectory, actor: LinearActor, recorder: Recorder, guard: Guard
     ) -> Iterator[Experience]: ...
 
 
@@ -82,7 +81,7 @@ class IrlPlanner(LearningPlanner):
         make_basis: features of critic and actor for that cost.
         make_solver: from the Bellman operator, the start weights [L, n3] and the bounds.
         experience: where experience comes from.
-        learners: L, independent sets of weights.
+        learners: L, independent sets of weights: one for all, or one for each vehicle of each world.
         actor_sign: -1; +1 is the sign printed in the paper.
         inertia_lower: declared lower bound of each axis' inertia, kg, kg m^2: all the learner is told of the dynamics.
         start_gain: scales the start policy.
@@ -116,22 +115,25 @@ class IrlPlanner(LearningPlanner):
         targets = mean_channel_targets(env.scenario, estimate.channel)
         cost = self.make_cost(estimate.channel, targets)
         self.lead = self.guidance(env, cost, targets)
-        self.basis = self.make_basis(cost)
+        # One row a learner or flown vehicle, as segments and policies have them.
+        own = cost.of(torch.arange(env.worlds * env.scenario.vehicles, device=targets.neighbours.device))
+        self.basis = self.make_basis(own)
         start = (self.start_gain * self.basis.start_weights()).repeat(self.learners, 1)
         # Weights are float64 whatever the environment's dtype.
         device = targets.neighbours.device
         actor = LinearActor(self.basis, start.to(device))
         critic = LinearCritic(self.basis, self.learners).to(device)
         self.start_weights = actor.weight.clone()
-        state, trim = calibration_hover(env, actor, cost, self.calibration_s, self.guard)
+        hover, trim = calibration_hover(env, actor, cost, self.calibration_s, self.guard)
         if self.learners == 1:
             trim = trim.mean(0, keepdim=True)
         self.policy = LinkFramePolicy(targets.frame, actor, trim)
         operator = BellmanOperator(len(self.basis.critic_names), actor.sizes, cost.R, actor_sign=self.actor_sign)
         bounds = self.basis.bounds(self.inertia_lower, env.scenario.dt)
         solver = self.make_solver(operator, actor.weight, Bounds(bounds.lower.to(device), bounds.upper.to(device)))
-        self.recorder = Recorder(self.basis, operator, cost, trim, self.window, self.residual_floor)
-        flight = self.experience.fly(env, state, actor, self.recorder, self.guard)
+        self.recorder = Recorder(self.basis, operator, own, trim, self.window, self.residual_floor)
+        self.recorder.watch(env, hover)
+        flight = self.experience.fly(env, hover, actor, self.recorder, self.guard)
         iterations = policy_iteration(
             flight, solver, actor, critic, self.updates, self.stopping, seconds=self.calibration_s
         )

@@ -1,13 +1,18 @@
-"""Which way round the obstacles: an eikonal map of the horizontal plane for each target.
+"""Which way round the obstacles: an eikonal map of the horizontal plane for each vehicle.
 
-    q(p) = E_L(p) - E_L,min + beta_2 E_O(p),   w = (q + 0.001)^0.75,   |grad Phi| = w
+    q(p) = E_L(p) - E_L,min + beta_2 E_O(p),   w = (q - q(goal) + 0.001)^0.75,   |grad Phi| = w
 
 With quadratic drag the best pace makes the cost of a metre grow as q^(2/3), with linear drag as q^(1/2); 0.75 was found
 best in clutter, where speed must be taken off before a turn. Closer to an obstacle than `HARD_CLEARANCE` w is large but
 finite and falls outwards, so that the gradient leads out.
+
+The goal is the link's target, or, where an obstacle's influence reaches it, the place near it with the least q, which is
+paid for ever, that still has its capacity. Where no way leads there, it is the place of least q that can be reached, and the vehicle is `blocked`.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -15,46 +20,185 @@ from torch import Tensor
 from uwirl.irl.grid_critic import GridMap, solve_eikonal
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.link_frame import LinkFrame
+from uwirl.world.obstacles import Obstacles
+from uwirl.world.regions import separated
 from uwirl.world.scenario import Scenario
 from uwirl.world.vehicle import VehicleState
 
 EXPONENT = 0.75
 OFFSET = 0.001
 HARD_CLEARANCE = 0.25  # m
-BORDER = 8.0  # m, around everything that the map must hold
+BORDER = 8.0  # m, around everything that a map must hold
+# The goal is sought this far around the link's target, at this spacing, with this clearance, m,
+GOAL_REACH, GOAL_SPACING, GOAL_CLEARANCE = 5.0, 0.1, 0.5
+# and with this share of the target's capacity, so that 99 % are reached with room to spare.
+GOAL_CAPACITY = 0.992
+# A drifting obstacle is met where it will be when a vehicle at this speed gets there, but not later than the horizon.
+MEETING_SPEED, MEETING_HORIZON = 1.0, 15.0  # m/s, s
+# Maps solved together; more gain little.
+BATCH = 32
 
 
-def place_cost(scenario: Scenario, frame: LinkFrame, cost: RelayCost, position: Tensor) -> Tensor:
-    """q of places [..., M, 3] with the heading of the link: link and avoidance terms, [..., M]."""
+def link_cost(frame: LinkFrame, cost: RelayCost, position: Tensor) -> Tensor:
+    """E_L - E_L,min of places [..., M, 3] with the heading of the link, [..., M], never negative."""
     eta = torch.cat([position, frame.bearing[..., None].expand_as(position[..., :1])], -1)
-    xi = frame.relative(VehicleState.from_eta_nu(eta))
-    return cost.link(xi).clamp_min(0.0) + cost.obstacle(scenario.obstacles.avoidance(position))
+    return cost.link(frame.relative(VehicleState.from_eta_nu(eta))).clamp_min(0.0)
 
 
-def route_map(scenario: Scenario, frame: LinkFrame, cost: RelayCost, spacing_m: float) -> GridMap:
-    """Phi for the single vehicle's target, on the horizontal plane at its depth, obstacles as they stand at time 0.
+@dataclass(frozen=True)
+class Ways:
+    """Where K vehicles are to go, and along what.
+
+    Attributes:
+        goal: [K, 3], m.
+        rest_cost: q at the goal, [K].
+        blocked: whether no way leads to the vehicle's own target, [K].
+        map: K maps of the horizontal plane.
+    """
+
+    goal: Tensor
+    rest_cost: Tensor
+    blocked: Tensor
+    map: GridMap
+
+    def put(self, index: Tensor, others: Ways) -> None:
+        """Replace the ways at index [K'], in place."""
+        for name in ("goal", "rest_cost", "blocked"):
+            getattr(self, name)[index] = getattr(others, name)
+        self.map.put(index, others.map)
+
+
+class Router:
+    """Plans ways, in float64, on one grid that holds everything.
 
     Args:
-        scenario: nodes, start and obstacles, all of which the map holds.
-        frame: the target's.
+        scenario: nodes, starts and obstacles.
+        frame: the targets', [M] or [B, M].
         cost: running cost on the estimated channel.
         spacing_m: h, m.
-
-    Returns:
-        A batch of one map, float64.
+        margin_m: clearance below which no way leads, m.
     """
-    target = frame.target[0].double()
-    places = torch.cat([scenario.source[None, :2], scenario.destination[None, :2], scenario.start[:, :2]]).double()
-    reach = (scenario.obstacles.radius + BORDER).double()[:, None]
-    centre = scenario.obstacles.centre.double()
+
+    def __init__(self, scenario: Scenario, frame: LinkFrame, cost: RelayCost, spacing_m: float, margin_m: float):
+        self.radius = scenario.vehicle_radius
+        self.spacing = spacing_m
+        self.margin = margin_m
+        # One row a target: all worlds share them, or each has its own.
+        self.frame = LinkFrame(frame.target.double().flatten(0, -2), frame.bearing.double().flatten())
+        self.targets = len(self.frame.bearing)
+        self.cost = cost.of(torch.arange(self.targets, device=frame.bearing.device))
+        self.origin, self.shape = _extent(scenario, self.frame, spacing_m)
+        axes = [self.origin[k] + spacing_m * torch.arange(self.shape[k], device=self.origin.device) for k in range(2)]
+        self.plane = torch.cartesian_prod(*axes)
+        places = _at_depth(self.plane[:, None].expand(-1, self.targets, 2), self.frame.target)
+        self.link = link_cost(self.frame, self.cost, places).T
+
+    def plan(self, vehicle: Tensor, position: Tensor, obstacles: Obstacles, time: float) -> Ways:
+        """Ways of some vehicles, as far as they know the obstacles.
+
+        Args:
+            vehicle: their numbers among the B M, [K].
+            position: horizontally, [K, 2], m.
+            obstacles: those that each knows, fields [K, O].
+            time: s.
+        """
+        now = replace(obstacles, centre=obstacles.centre + obstacles.velocity * time)
+        row = vehicle % self.targets
+        batches = torch.arange(len(vehicle), device=vehicle.device).split(BATCH)
+        parts = [self._plan(row[k], position[k].double(), now.worlds(k)) for k in batches]
+        goal, rest_cost, blocked = (
+            torch.cat([getattr(part, name) for part in parts]) for name in ("goal", "rest_cost", "blocked")
+        )
+        return Ways(goal, rest_cost, blocked, GridMap.stack([part.map for part in parts]))
+
+    def _plan(self, row: Tensor, position: Tensor, obstacles: Obstacles) -> Ways:
+        goal = self._goal(row, obstacles)
+        clearance, avoidance = self._around(self.plane.expand(len(row), -1, 2), obstacles, position)
+        q = self.link[row] + avoidance
+        # Pressed against the guard, a vehicle may be closer than the margin: what is as tight as here is passable.
+        here = self._around(position[:, None], obstacles)[0]
+        inflation = self.radius + (here - 1e-6).clamp_max(self.margin)
+        blocked = separated(obstacles, inflation, position, goal[:, :2])
+        for k in blocked.nonzero()[:, 0].tolist():
+            free = clearance[k] > GOAL_CLEARANCE
+            reachable = ~separated(_one(obstacles, k), inflation[k], position[k], self.plane[free])
+            free[free.clone()] = reachable
+            goal[k, :2] = self.plane[torch.where(free, q[k], torch.inf).argmin()] if bool(free.any()) else position[k]
+        rest_cost = self._cost_at(row, goal, obstacles)
+        w = ((q - rest_cost[:, None]).clamp_min(0.0) + OFFSET) ** EXPONENT
+        hard = clearance < HARD_CLEARANCE
+        wall = 5.0 * torch.where(hard, 0.0, w).amax(-1, keepdim=True)
+        w = torch.where(hard, wall * (1.0 + 4.0 * (HARD_CLEARANCE - clearance)), w)
+        route = solve_eikonal(w.view(-1, *self.shape), self.origin, self.spacing, goal[:, :2])
+        return Ways(goal, rest_cost, blocked, route)
+
+    def _goal(self, row: Tensor, obstacles: Obstacles) -> Tensor:
+        """The place of least q near each target, [K, 3]; the target itself where no influence reaches it."""
+        goal = self.frame.target[row]
+        clearance, avoidance = self._around(goal[:, None, :2], obstacles)
+        disturbed = (avoidance > 0.0) | (clearance < GOAL_CLEARANCE)
+        reach = round(GOAL_REACH / GOAL_SPACING)
+        axis = GOAL_SPACING * torch.arange(-reach, reach + 1, device=row.device).to(goal)
+        around = torch.cartesian_prod(axis, axis)
+        for k in disturbed[:, 0].nonzero()[:, 0].tolist():
+            one, places = _one(obstacles, k), goal[k, :2] + around
+            free = self._around(places[None], one)[0][0] > GOAL_CLEARANCE
+            if bool(clearance[k] > self.margin):
+                free &= ~separated(one, self.radius + self.margin, goal[k, :2], places)
+            places, own = _at_depth(places, goal[k]), row[k].expand(len(places))
+            worth = self._link_at(own, places) <= (GOAL_CAPACITY**-2 - 1.0) * self.cost.minimum[row[k]]
+            free = free & worth if bool((free & worth).any()) else free
+            if bool(free.any()):
+                goal[k] = places[torch.where(free, self._cost_at(own, places, one), torch.inf).argmin()]
+        return goal
+
+    def _cost_at(self, row: Tensor, place: Tensor, obstacles: Obstacles) -> Tensor:
+        """q of a place [K, 3] for each target [K], among the obstacles of K worlds or of one."""
+        return self._link_at(row, place) + self._around(place[:, None, :2], obstacles)[1][:, 0]
+
+    def _link_at(self, row: Tensor, place: Tensor) -> Tensor:
+        """E_L - E_L,min of a place [K, 3] for each target [K]."""
+        return link_cost(LinkFrame(self.frame.target[row], self.frame.bearing[row]), self.cost.of(row), place)
+
+    def _around(self, places: Tensor, obstacles: Obstacles, start: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Clearance and avoidance term of places [K, n, 2], [K, n] each.
+
+        Args:
+            places: m.
+            obstacles: of K worlds.
+            start: where each vehicle sets out, [K, 2]: obstacles then are where it meets them; None for where they are.
+        """
+        if obstacles.count == 0:
+            return places.new_full(places.shape[:-1], torch.inf), places.new_zeros(places.shape[:-1])
+        time: Tensor | float = 0.0
+        if start is not None and bool(obstacles.velocity.any()):
+            way = torch.linalg.vector_norm(places - start[:, None], dim=-1)
+            time = (way / MEETING_SPEED).clamp_max(MEETING_HORIZON)
+        # Places take the place of worlds, with one vehicle each.
+        each = obstacles.each(lambda field: field[:, None])
+        l = each.distance(places[:, :, None], time)[..., 0, :]
+        gap = (l - each.radius).amin(-1) - self.radius
+        return gap, self.cost.beta_2 * self.cost.avoidance(l, each.influence)
+
+
+def _extent(scenario: Scenario, frame: LinkFrame, spacing: float) -> tuple[Tensor, list[int]]:
+    """Origin [2] and numbers of nodes of the grid that holds nodes, starts, targets and obstacles."""
+    obstacles = scenario.obstacles
+    here = obstacles.present
+    reach = (obstacles.radius[here] + BORDER).double()[:, None]
+    centre = obstacles.centre[here].double()
+    nodes = (scenario.source, scenario.destination, scenario.start, frame.target)
+    places = torch.cat([node[..., :2].reshape(-1, 2).double() for node in nodes])
     low = torch.cat([places - BORDER, centre - reach]).amin(0)
     high = torch.cat([places + BORDER, centre + reach]).amax(0)
-    counts = ((high - low) / spacing_m).ceil().long().tolist()
-    x, y = (low[axis] + spacing_m * torch.arange(counts[axis] + 1, device=low.device) for axis in range(2))
-    plane = torch.cartesian_prod(x, y)
-    position = torch.cat([plane, target[2].expand(len(plane), 1)], -1)[:, None]
-    w = (place_cost(scenario, frame, cost, position) + OFFSET) ** EXPONENT
-    clearance = scenario.clearance(position)
-    hard = clearance < HARD_CLEARANCE
-    w = torch.where(hard, 5.0 * w[~hard].max() * (1.0 + 4.0 * (HARD_CLEARANCE - clearance)), w)
-    return solve_eikonal(w.view(1, len(x), len(y)), low, spacing_m, target[None, :2])
+    return low, [n + 1 for n in ((high - low) / spacing).ceil().long().tolist()]
+
+
+def _at_depth(plane: Tensor, target: Tensor) -> Tensor:
+    """Places [..., 2] at the depth of targets [..., 3]."""
+    return torch.cat([plane, target[..., 2:].expand(*plane.shape[:-1], 1)], -1)
+
+
+def _one(obstacles: Obstacles, k: int) -> Obstacles:
+    """Those of world k, [1, O]."""
+    return obstacles.each(lambda field: field[k : k + 1])

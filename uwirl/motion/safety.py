@@ -1,4 +1,4 @@
-"""The guard between a policy and the thrusters: the last line against obstacles, also while learning.
+"""The guard between a policy and the thrusters: the last line against obstacles and vehicles, also while learning.
 
 For a clearance d that changes no faster than the vehicle moves (any union of shapes),
 
@@ -9,14 +9,17 @@ braking spends kinetic energy as fast as clearance. Sampled at dt, the condition
 
     beta |tau|^2 + (nu - tau_b beta n)' tau <= tau_b (n . nu + alpha h),   beta = dt / (2 m_lo)
 
-with n the horizontal unit vector from obstacle to vehicle in body axes and nu the velocity relative to the obstacle.
-Nothing of the dynamics is used but these bounds.
+with n the unit vector from obstacle to vehicle in body axes and nu the velocity relative to the obstacle, both
+horizontal. Two vehicles share theirs, in three dimensions: with h = d - separation - m_bar (|nu_i|^2 + |nu_j|^2) /
+(2 tau_b), each keeps the same ball for its own nu and half of alpha h, which needs nothing of the other but where it is
+and how fast. Nothing of the dynamics is used but the bounds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -31,6 +34,22 @@ Guard = Callable[[Relay, Policy], Policy]
 PROJECTIONS = 3
 
 
+class Neighbours(NamedTuple):
+    """What a vehicle has to keep clear of, C obstacles or vehicles.
+
+    Attributes:
+        n: unit vectors from them to the vehicle, body axes, [B, M, C, 3].
+        nu: velocity to brake, relative to an obstacle, or the vehicle's own near another, [B, M, C, 3], m/s.
+        clearance: what is left beyond the margin or separation, [B, M, C], m; infinite where there is none.
+        axes: directions in which it is kept, 1 or 0, [C, 3].
+    """
+
+    n: Tensor
+    nu: Tensor
+    clearance: Tensor
+    axes: Tensor
+
+
 def unguarded(env: Relay, policy: Policy) -> Policy:
     """safety=none."""
     return policy
@@ -41,56 +60,72 @@ class EnergyGuard:
     """safety=energy.
 
     Attributes:
-        margin_m: clearance to keep, m.
+        margin_m: clearance to keep from obstacles, m.
+        separation_m: distance to keep between the centres of vehicles, m.
         alpha: how fast h may fall, 1/s.
-        mass_upper_kg: m_bar, at least the horizontal inertia, kg.
-        mass_lower_kg: m_lo, at most the horizontal inertia, kg.
-        brake_force_N: tau_b, at most the horizontal thrust less any disturbance, N.
+        mass_upper_kg: m_bar, at least the inertia in surge and sway, and in heave where there are several vehicles, kg.
+        mass_lower_kg: m_lo, at most that inertia, kg.
+        brake_force_N: tau_b, at most the thrust on these axes less any disturbance, N.
     """
 
     margin_m: float
+    separation_m: float
     alpha: float
     mass_upper_kg: float
     mass_lower_kg: float
     brake_force_N: float
 
     def __call__(self, env: Relay, policy: Policy) -> Policy:
-        """The policy, with surge and sway forces changed as little as safety asks for."""
+        """The policy, with its forces changed as little as safety asks for."""
         scenario, vehicle = env.scenario, env.vehicle
-        if scenario.obstacles.count == 0:
+        if scenario.obstacles.count == 0 and scenario.vehicles == 1:
             return policy
 
         def guarded(state: VehicleState, step: int) -> Tensor:
             tau = vehicle.saturate(policy(state, step))
-            psi = state.eta[..., 3]
-            c, s = torch.cos(psi)[..., None], torch.sin(psi)[..., None]
-            time = step * scenario.dt
-            offset = scenario.obstacles.offset(state.position, time)
-            clearance = scenario.obstacles.clearance(state.position, scenario.vehicle_radius, time)
-            n = offset / torch.linalg.vector_norm(offset, dim=-1, keepdim=True).clamp_min(1e-9)
-            velocity = scenario.obstacles.velocity.expand(*offset.shape[:-3], *scenario.obstacles.velocity.shape[-2:])
-            relative = state.nu[..., None, :2] - _to_body(velocity[..., None, :, :].expand_as(offset), c, s)
-            force = self.filter(tau[..., :2], _to_body(n, c, s), relative, clearance, vehicle.tau_max[:2], scenario.dt)
-            return torch.cat([force, tau[..., 2:]], -1)
+            groups = []
+            if scenario.obstacles.count:
+                groups.append(self._obstacles(env, state, step * scenario.dt))
+            if scenario.vehicles > 1:
+                groups.append(self._vehicles(state))
+            force = tau[..., :3]
+            safe = self.filter(force, groups, vehicle.tau_max[:3], scenario.dt)
+            return torch.cat([safe, tau[..., 3:]], -1)
 
         return guarded
 
-    def filter(self, force: Tensor, n: Tensor, nu: Tensor, clearance: Tensor, force_max: Tensor, dt: float) -> Tensor:
+    def _obstacles(self, env: Relay, state: VehicleState, time: float) -> tuple[Neighbours, Tensor]:
+        """Obstacles within the detection range, and h."""
+        near = obstacle_neighbours(env, state, time)
+        near = near._replace(clearance=near.clearance - self.margin_m)
+        return near, near.clearance - self._braking_distance(near.nu.square().sum(-1))
+
+    def _vehicles(self, state: VehicleState) -> tuple[Neighbours, Tensor]:
+        """The other vehicles of the same world, and the half of h that is this vehicle's to keep."""
+        near = vehicle_neighbours(state)
+        near = near._replace(clearance=near.clearance - self.separation_m)
+        square = state.nu[..., :3].square().sum(-1)
+        h = near.clearance - self._braking_distance(square[..., :, None] + square[..., None, :])
+        return near, 0.5 * h
+
+    def _braking_distance(self, speed_squared: Tensor) -> Tensor:
+        return self.mass_upper_kg * speed_squared / (2.0 * self.brake_force_N)
+
+    def filter(self, force: Tensor, groups: list[tuple[Neighbours, Tensor]], force_max: Tensor, dt: float) -> Tensor:
         """The admissible force nearest to the wanted one, up to three projections; failing that, full braking.
 
         Args:
-            force: wanted surge and sway force, within the limits, [..., 2], N.
-            n: unit vectors from obstacles to vehicle, body axes, [..., O, 2].
-            nu: velocity relative to each obstacle, body axes, [..., O, 2], m/s.
-            clearance: [..., O], m; infinite where there is none.
-            force_max: [2], N.
+            force: wanted surge, sway and heave force, within the limits, [B, M, 3], N.
+            groups: what to keep clear of, each with its share of h [B, M, C], m.
+            force_max: [3], N.
             dt: time for which the force is held, s.
 
         Returns:
-            [..., 2], N.
+            [B, M, 3], N.
         """
-        speed = torch.linalg.vector_norm(nu, dim=-1)
-        h = clearance - self.margin_m - self.mass_upper_kg * speed.square() / (2.0 * self.brake_force_N)
+        n, nu = (torch.cat([getattr(near, name) for near, _ in groups], -2) for name in ("n", "nu"))
+        axes = torch.cat([near.axes for near, _ in groups])
+        h = torch.cat([h for _, h in groups], -1)
         beta = dt / (2.0 * self.mass_lower_kg)
         drift = nu - self.brake_force_N * beta * n
         centre = -drift / (2.0 * beta)
@@ -98,28 +133,63 @@ class EnergyGuard:
         radius = (allowed / beta + centre.square().sum(-1)).clamp_min(0.0).sqrt()
         safe = force
         for _ in range(PROJECTIONS):
-            away = safe[..., None, :] - centre
+            away = (safe[..., None, :] - centre) * axes
             distance = torch.linalg.vector_norm(away, dim=-1)
             excess, worst = (distance - radius).max(-1, keepdim=True)
-            scale = radius.gather(-1, worst) / distance.gather(-1, worst).clamp_min(1e-9)
-            projected = _pick(centre, worst) + _pick(away, worst) * scale
-            safe = torch.where(excess > 0.0, projected, safe)
+            shrink = 1.0 - radius.gather(-1, worst) / distance.gather(-1, worst).clamp_min(1e-9)
+            # Along the axes that the constraint does not hold, `away` is zero and the force stays.
+            safe = torch.where(excess > 0.0, safe - shrink * _pick(away, worst), safe)
             safe = torch.maximum(torch.minimum(safe, force_max), -force_max)
-        violated = (torch.linalg.vector_norm(safe[..., None, :] - centre, dim=-1) - radius).amax(-1, keepdim=True)
+        left = torch.linalg.vector_norm((safe[..., None, :] - centre) * axes, dim=-1) - radius
+        violated = left.amax(-1, keepdim=True)
         nearest = h.argmin(-1, keepdim=True)
-        braking_speed = speed.gather(-1, nearest)
+        velocity, held = _pick(nu, nearest), axes[nearest[..., 0]]
+        speed = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
         # No more than stops the vehicle within the step, or it would be thrown back.
-        brake = (self.mass_lower_kg * braking_speed / dt).clamp_max(self.brake_force_N)
-        braking = -brake * _pick(nu, nearest) / braking_speed.clamp_min(1e-9)
+        brake = (self.mass_lower_kg * speed / dt).clamp_max(self.brake_force_N)
+        braking = torch.where(held > 0.0, -brake * velocity / speed.clamp_min(1e-9), force)
         return torch.where(violated > 0.5, braking, safe)
 
 
-def _to_body(vector: Tensor, c: Tensor, s: Tensor) -> Tensor:
-    """Horizontal vectors [..., O, 2] of the inertial frame in body axes of yaw with cosine and sine [..., 1]."""
+def obstacle_neighbours(env: Relay, state: VehicleState, time: float) -> Neighbours:
+    """Obstacles that the vehicles detect, with the clearance between hulls."""
+    scenario, obstacles = env.scenario, env.scenario.obstacles
+    offset = obstacles.offset(state.position, time)
+    gap = obstacles.clearance(state.position, scenario.vehicle_radius, time)
+    gap = torch.where(gap <= scenario.detection_range, gap, torch.inf)
+    n = offset / torch.linalg.vector_norm(offset, dim=-1, keepdim=True).clamp_min(1e-9)
+    velocity = obstacles.velocity[..., None, :, :].expand_as(offset)
+    relative = state.nu[..., None, :2] - _horizontal_to_body(velocity, state)
+    axes = offset.new_tensor([1.0, 1.0, 0.0]).expand(obstacles.count, 3)
+    return Neighbours(_lift(_horizontal_to_body(n, state)), _lift(relative), gap, axes)
+
+
+def vehicle_neighbours(state: VehicleState) -> Neighbours:
+    """The other vehicles of the same world, with the distance between centres; none is its own neighbour."""
+    position = state.position
+    offset = position[..., :, None, :] - position[..., None, :, :]
+    M = position.shape[-2]
+    distance = torch.linalg.vector_norm(offset, dim=-1)
+    itself = torch.eye(M, dtype=torch.bool, device=position.device)
+    n = offset / distance[..., None].clamp_min(1e-9)
+    turned = torch.cat([_horizontal_to_body(n[..., :2], state), n[..., 2:]], -1)
+    nu = state.nu[..., None, :3].expand_as(turned)
+    return Neighbours(turned, nu, distance.masked_fill(itself, torch.inf), torch.ones_like(offset[0, 0, :, :]))
+
+
+def _horizontal_to_body(vector: Tensor, state: VehicleState) -> Tensor:
+    """Horizontal vectors [B, M, C, 2] of the inertial frame in the vehicles' body axes."""
+    psi = state.eta[..., 3, None]
+    c, s = torch.cos(psi), torch.sin(psi)
     x, y = vector.unbind(-1)
     return torch.stack([c * x + s * y, c * y - s * x], -1)
 
 
+def _lift(horizontal: Tensor) -> Tensor:
+    """[..., 3] of [..., 2], with nothing along the third axis."""
+    return torch.nn.functional.pad(horizontal, (0, 1))
+
+
 def _pick(vectors: Tensor, index: Tensor) -> Tensor:
-    """[..., 2] of [..., O, 2] at [..., 1]."""
-    return vectors.gather(-2, index[..., None].expand(*index.shape, 2))[..., 0, :]
+    """[..., 3] of [..., C, 3] at [..., 1]."""
+    return vectors.gather(-2, index[..., None].expand(*index.shape, 3))[..., 0, :]

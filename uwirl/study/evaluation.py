@@ -27,6 +27,7 @@ class Evaluation:
         link_capacity: mean capacity of each link, [n + 1, B, M + 1], kbit/s.
         optimal_capacity: of the chain at its targets, kbit/s.
         clearance: of each vehicle to the nearest obstacle, [n + 1, B, M], m; infinite in free water.
+        blocked: whether no way led to a vehicle's target at the end, [B, M].
         cost_terms: J of each world by term (link, obstacle, vehicle, control), [B] each.
     """
 
@@ -34,6 +35,7 @@ class Evaluation:
     link_capacity: Tensor
     optimal_capacity: float
     clearance: Tensor
+    blocked: Tensor
     cost_terms: dict[str, Tensor]
 
     @property
@@ -51,6 +53,14 @@ class Evaluation:
         short = (self.chain_capacity[:, world] < 0.99 * self.optimal_capacity).nonzero()
         first = int(short[-1]) + 1 if len(short) else 0
         return None if first >= len(self.link_capacity) else first * self.trajectory.dt
+
+    def separation(self, world: int = 0) -> float | None:
+        """Smallest distance between the centres of two vehicles, m; None for a single one."""
+        position = self.trajectory.eta[:, world, :, :3]
+        i, j = torch.triu_indices(position.shape[1], position.shape[1], 1)
+        if len(i) == 0:
+            return None
+        return float(torch.linalg.vector_norm(position[:, i] - position[:, j], dim=-1).min())
 
     def metrics(self, world: int = 0) -> dict[str, float | list | None]:
         """The mission's entries of metrics.json."""
@@ -71,6 +81,8 @@ class Evaluation:
             "final_position_m": eta[-1, :, :3].tolist(),
             "collisions": int(contacts(self.clearance[:, world]).sum()),
             "min_obstacle_clearance_m": float(self.clearance[:, world].min()),
+            "min_vehicle_separation_m": self.separation(world),
+            "blocked": int(self.blocked[world].sum()),
             "path_length_m": float(travelled),
             "energy_J": float(power.sum()) * self.trajectory.dt,
             "cost_total": float(self.cost[world]),
@@ -78,7 +90,14 @@ class Evaluation:
         }
 
 
-def evaluate(env: Relay, policy: Policy, cost: RelayCost, targets: ChainTargets, state: VehicleState) -> Evaluation:
+def evaluate(
+    env: Relay,
+    policy: Policy,
+    cost: RelayCost,
+    targets: ChainTargets,
+    state: VehicleState,
+    guard: Guard = unguarded,
+) -> Evaluation:
     """Fly a mission.
 
     Args:
@@ -87,8 +106,10 @@ def evaluate(env: Relay, policy: Policy, cost: RelayCost, targets: ChainTargets,
         cost: the running cost on the true channel; the vehicle's true trim is what effort is counted from.
         targets: the true channel's targets, which the cost refers to.
         state: where to start, [B, M].
+        guard: between policy and thrusters.
     """
-    trajectory = env.rollout(policy, state, env.scenario.steps)
+    trajectory = env.rollout(guard(env, policy), state, env.scenario.steps)
+    nowhere = torch.zeros(state.components.shape[1:], dtype=torch.bool, device=state.components.device)
     xi = targets.frame.relative(trajectory.states)
     dt = trajectory.dt
 
@@ -102,9 +123,11 @@ def evaluate(env: Relay, policy: Policy, cost: RelayCost, targets: ChainTargets,
         link_capacity=env.link_capacities_kbps(position),
         optimal_capacity=float(env.link_capacities_kbps(targets.frame.target).amin()),
         clearance=env.scenario.clearance(position, time),
+        # Only a policy that plans its way can tell.
+        blocked=getattr(policy, "blocked", nowhere),
         cost_terms={
             "link": trapezoid(cost.link(xi)),
-            "obstacle": trapezoid(cost.obstacle(env.scenario.obstacles.avoidance(position, time))),
+            "obstacle": trapezoid(cost.obstacle(env.scenario.obstacles, position, time)),
             "vehicle": trapezoid(cost.yaw(xi)),
             # Held over each step, so the sum is exact.
             "control": cost.control(effort).sum((0, -1)) * dt,
@@ -122,12 +145,12 @@ def cost_of_weights(
     lead: Lead = go_straight,
     guard: Guard = unguarded,
 ) -> Tensor:
-    """J of K sets of actor weights from Q starts, all flown as one batch.
+    """J of K iterates' actor weights from Q starts, all flown as one batch.
 
     Args:
         env: the world.
-        policy: supplies frame, basis and trim of its first learner.
-        weights: [K, n3].
+        policy: supplies frame, basis and trim, of its first world.
+        weights: one set for all vehicles, [K, 1, n3], or one for each, [K, M, n3].
         cost, targets: on the true channel.
         starts: eta, [Q, M, 4].
         lead: leads the policy to the target.
@@ -138,6 +161,7 @@ def cost_of_weights(
     """
     K, Q, M = weights.shape[0], *starts.shape[:2]
     state = VehicleState.from_eta_nu(starts.repeat(K, 1, 1))
-    actor = LinearActor(policy.actor.basis, weights.repeat_interleave(Q * M, 0))
-    flown = LinkFramePolicy(policy.frame, actor, policy.trim[:1])
-    return evaluate(env, guard(env, lead(flown)), cost, targets, state).cost.view(K, Q)
+    actor = LinearActor(policy.actor.basis, weights[:, None].expand(K, Q, M, -1).flatten(0, 2))
+    own_trim = policy.trim[:M].expand(M, 4).repeat(K * Q, 1)
+    flown = LinkFramePolicy(policy.frame, actor, own_trim)
+    return evaluate(env, lead(flown), cost, targets, state, guard).cost.view(K, Q)

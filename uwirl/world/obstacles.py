@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -15,7 +16,7 @@ class Obstacles:
     Attributes:
         centre: of the axis at time 0, [..., O, 2], m.
         radius: physical radius rho_m, [..., O], m.
-        influence: radius rho_o of the avoidance term, [..., O], m.
+        influence: radius rho_o within which the avoidance term of the cost counts, [..., O], m.
         velocity: [..., O, 2], m/s.
         present: [..., O].
     """
@@ -31,16 +32,29 @@ class Obstacles:
         """O."""
         return self.radius.shape[-1]
 
+    def each(self, change: Callable[[Tensor], Tensor]) -> Obstacles:
+        """With every field changed alike."""
+        return Obstacles(*(change(f) for f in (self.centre, self.radius, self.influence, self.velocity, self.present)))
+
+    def worlds(self, index: Tensor) -> Obstacles:
+        """Those of some worlds of a batch, by their numbers [K]; the same ones where all worlds share them."""
+        return self if self.radius.ndim == 1 else self.each(lambda field: field[index])
+
     def offset(self, position: Tensor, time: Tensor | float = 0.0) -> Tensor:
         """From each axis to each vehicle, horizontally, [..., M, O, 2], m.
 
         Args:
-            position: [..., M, 3], m.
+            position: [..., M, 3], or [..., M, 2] without depth, m.
             time: s, a number or [...] like the batch of positions.
         """
         time = torch.as_tensor(time, dtype=position.dtype, device=position.device)
         centre = self.centre + self.velocity * time[..., None, None]
         return position[..., :, None, :2] - centre[..., None, :, :]
+
+    def distance(self, position: Tensor, time: Tensor | float = 0.0) -> Tensor:
+        """l: from axis to vehicle, [..., M, O], m; infinite where there is no obstacle. Arguments as for `offset`."""
+        l = torch.linalg.vector_norm(self.offset(position, time), dim=-1)
+        return torch.where(self.present[..., None, :], l, torch.inf)
 
     def clearance(self, position: Tensor, vehicle_radius: float, time: Tensor | float = 0.0) -> Tensor:
         """Gap between hull and cylinder, [..., M, O], m: negative in contact, infinite where there is no obstacle.
@@ -50,17 +64,7 @@ class Obstacles:
             vehicle_radius: m.
             time: s, a number or [...] like the batch of positions.
         """
-        gap = torch.linalg.vector_norm(self.offset(position, time), dim=-1) - self.radius[..., None, :] - vehicle_radius
-        return torch.where(self.present[..., None, :], gap, torch.inf)
-
-    def avoidance(self, position: Tensor, time: Tensor | float = 0.0) -> Tensor:
-        """E_O = sum of max(0, 1/l - 1/rho_o)^2 over the obstacles, [..., M], with l the distance to the axis.
-
-        The printed (34) squares without the max, so that it grows again beyond rho_o and draws vehicles to the ring.
-        """
-        l = torch.linalg.vector_norm(self.offset(position, time), dim=-1)
-        near = (1.0 / l - 1.0 / self.influence[..., None, :]).clamp_min(0.0)
-        return torch.where(self.present[..., None, :], near.square(), 0.0).sum(-1)
+        return self.distance(position, time) - self.radius[..., None, :] - vehicle_radius
 
 
 def no_obstacles(dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> Obstacles:

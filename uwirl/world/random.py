@@ -28,6 +28,7 @@ class Stream(IntEnum):
     EXPLORATION = 3
     DISTURBANCE = 4
     SENSOR_PLACEMENT = 5
+    LAYOUT = 6
 
 
 def philox4x32(counter: Tensor, key: Tensor, rounds: int = 10) -> Tensor:
@@ -75,6 +76,10 @@ class RandomStreams:
         """World 0 of each of several seeds: what separate runs with those seeds would draw."""
         seed = torch.tensor(list(seeds), device=device)
         return cls(seed, torch.zeros_like(seed))
+
+    def select(self, index: Tensor) -> RandomStreams:
+        """Those of some of the worlds, by their places [K] in the batch."""
+        return RandomStreams(self.seed[index], self.world[index])
 
     def uniform(self, stream: Stream, step: int, count: int) -> Tensor:
         """Float64 draws in [0, 1), [B, count]."""

@@ -26,11 +26,13 @@ class Trajectory:
         components: states at the n + 1 step boundaries, [n + 1, 8, B, M].
         tau: control held over each step, [n, B, M, 4].
         dt: s.
+        first_step: step index, from the beginning of the flight, of the first state.
     """
 
     components: Tensor
     tau: Tensor
     dt: float
+    first_step: int = 0
 
     @property
     def eta(self) -> Tensor:
@@ -54,7 +56,8 @@ class Trajectory:
     @property
     def time(self) -> Tensor:
         """[n + 1], s."""
-        return torch.arange(self.components.shape[0], dtype=torch.float64) * self.dt
+        n = self.components.shape[0]
+        return (self.first_step + torch.arange(n, dtype=torch.float64, device=self.components.device)) * self.dt
 
 
 class Relay:
@@ -80,30 +83,48 @@ class Relay:
     def reset(self) -> VehicleState:
         """All worlds at the scenario's start, at rest, [8, B, M] underneath."""
         start = self.scenario.start
-        return VehicleState.from_eta_nu(start.expand(self.worlds, *start.shape))
+        return VehicleState.from_eta_nu(start.expand(self.worlds, *start.shape[-2:]))
 
-    def rollout(self, policy: Callable[[VehicleState, int], Tensor], state: VehicleState, steps: int) -> Trajectory:
+    def select(self, index: Tensor) -> Relay:
+        """The environment of some of the worlds, by their places [K] in the batch."""
+        return Relay(self.scenario.worlds(index), self.vehicle, self.channel, self.streams.select(index))
+
+    def rollout(
+        self, policy: Callable[[VehicleState, int], Tensor], state: VehicleState, steps: int, first_step: int = 0
+    ) -> Trajectory:
         """Fly a policy from a state.
 
         Args:
             policy: (state, step index) -> tau [B, M, 4]; it is saturated here and held for one step.
             state: where to start; its batch may differ from the scenario's.
             steps: number of integration steps.
+            first_step: index of the first of them: what drifts is where it is at that time.
 
         Raises:
             DivergedError: a state or control stopped being finite; the message names the step and the quantity.
         """
+        current = self.scenario.current.realise(self.streams)
         x = state.components
         components = x.new_empty(steps + 1, *x.shape)
         tau = x.new_empty(steps, 4, *x.shape[1:])
         components[0] = x
-        for step in range(steps):
+        for k in range(steps):
+            step = first_step + k
             command = self.vehicle.saturate(policy(state, step))
-            state = self.vehicle.step(state, command, self.scenario.dt, out=components[step + 1])
-            tau[step] = command.movedim(-1, 0)
-        trajectory = Trajectory(components, tau.movedim(1, -1), self.scenario.dt)
+            water = None if self.scenario.current.is_still else current(step * self.scenario.dt).to(x.dtype)
+            state = self.vehicle.step(state, command, self.scenario.dt, water, out=components[k + 1])
+            self._confine(components[k + 1])
+            tau[k] = command.movedim(-1, 0)
+        trajectory = Trajectory(components, tau.movedim(1, -1), self.scenario.dt, first_step)
         self._check_finite(trajectory)
         return trajectory
+
+    def _confine(self, x: Tensor) -> None:
+        """Surface and floor stop a vehicle's centre, in place."""
+        z, w = x[2], x[6]
+        inside = z.clamp(-self.scenario.depth, 0.0)
+        w.masked_fill_((inside != z) & (w * z.sub(inside) > 0.0), 0.0)
+        z.copy_(inside)
 
     @staticmethod
     def _check_finite(trajectory: Trajectory) -> None:
@@ -112,7 +133,7 @@ class Relay:
             if not bool(finite.all()):
                 step = int((~finite).nonzero()[0])
                 raise DivergedError(
-                    f"{name} is not finite at step {step} (t = {step * trajectory.dt:g} s of the flight)"
+                    f"{name} is not finite at step {step} (t = {float(trajectory.time[step]):g} s of the flight)"
                 )
 
     def chain(self, position: Tensor) -> Tensor:

@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from uwirl.world.current import Current
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.random import RandomStreams, Stream
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """One relay problem; every world of a batch shares it.
+    """One relay problem. Worlds of a batch share it, but for starts, obstacles and current, which may differ.
 
     Attributes:
         source: [3], m.
         destination: [3], m.
-        start: eta of each vehicle in chain order from the source, [M, 4].
+        start: eta of each vehicle in chain order from the source, [M, 4] or [B, M, 4].
         sensors: [N, 3], m.
         obstacles: as named.
+        current: of the ocean.
+        depth: of the water, m: a vehicle's centre stays in -depth <= z <= 0.
+        detection_range: horizontal distance from hull to hull at which a vehicle detects an obstacle, m (Definition 1);
+            infinite where the map is known.
         vehicle_radius: m.
         dt: integration step, s.
         duration: length of a mission, s.
@@ -32,19 +37,27 @@ class Scenario:
     start: Tensor
     sensors: Tensor
     obstacles: Obstacles
+    current: Current
+    depth: float
+    detection_range: float
     vehicle_radius: float
     dt: float
     duration: float
 
     @property
     def vehicles(self) -> int:
-        return self.start.shape[0]
+        return self.start.shape[-2]
 
     def clearance(self, position: Tensor, time: Tensor | float = 0.0) -> Tensor:
         """Smallest gap between each vehicle at [..., M, 3] and any obstacle, [..., M], m; infinite in free water."""
         if self.obstacles.count == 0:
             return torch.full(position.shape[:-1], torch.inf, dtype=position.dtype, device=position.device)
         return self.obstacles.clearance(position, self.vehicle_radius, time).amin(-1)
+
+    def worlds(self, index: Tensor) -> Scenario:
+        """The scenario of some worlds of a batch, by their numbers [K]."""
+        start = self.start[index] if self.start.ndim == 3 else self.start
+        return replace(self, start=start, obstacles=self.obstacles.worlds(index), current=self.current.worlds(index))
 
     @property
     def steps(self) -> int:

@@ -183,16 +183,46 @@ class Vehicle(nn.Module):
             [torch.add(x0, torch.add(a + d, b + c, alpha=2.0), alpha=dt / 6) for x0, a, b, c, d in stages]
         )
 
-    def step(self, state: VehicleState, tau: Tensor, dt: float, out: Tensor | None = None) -> VehicleState:
+    def drift(self, x: Tensor, tau: Tensor, dt: float, current: Tensor) -> Tensor:
+        """One Runge-Kutta step in water that moves; nu is the velocity over ground, forces act on that through water.
+
+        With a current that is irrotational and held over the step, (1) holds for the velocity relative to the water
+        (Fossen, "Handbook of Marine Craft Hydrodynamics and Motion Control", 2nd ed., section 10.3).
+
+        Args:
+            x: [8, ...].
+            tau: [4, ...].
+            dt: s.
+            current: inertial, [3, ...], m/s.
+        """
+        relative = x.clone()
+        relative[4:7] -= _to_body(x[3], current)
+        moved = self.rk4(relative, tau, dt)
+        moved[:3] += current * dt
+        moved[4:7] += _to_body(moved[3], current)
+        return moved
+
+    def step(
+        self,
+        state: VehicleState,
+        tau: Tensor,
+        dt: float,
+        current: Tensor | None = None,
+        out: Tensor | None = None,
+    ) -> VehicleState:
         """The state after dt seconds of held tau [B, M, 4], which is not saturated here.
 
         Args:
             state: [B, M].
             tau: [B, M, 4].
             dt: s.
+            current: inertial, of each world, [B, 3], m/s; None for still water.
             out: where to write the new components, contiguous [8, B, M]; a new tensor if None.
         """
         x, tau = state.components, tau.movedim(-1, 0)
+        if current is not None:
+            moved = self.drift(x, tau, dt, current.T[..., None])
+            return VehicleState(moved if out is None else out.copy_(moved))
         chunks = -(-x[0].numel() // CHUNK)
         if out is None and chunks == 1:
             return VehicleState(self.rk4(x, tau, dt))
@@ -203,3 +233,10 @@ class Vehicle(nn.Module):
         for part_x, part_tau, part_out in zip(*parts, strict=True):
             part_out.copy_(self.rk4(part_x, part_tau, dt))
         return VehicleState(out)
+
+
+def _to_body(psi: Tensor, velocity: Tensor) -> Tensor:
+    """Velocity [3, ...] of the inertial frame in body axes of yaw psi [...]."""
+    x, y, z = torch.broadcast_tensors(*velocity.unbind(0), psi)[:3]
+    c, s = torch.cos(psi), torch.sin(psi)
+    return torch.stack([c * x + s * y, c * y - s * x, z])
