@@ -47,7 +47,7 @@ def test_metrics_file_is_flat_json(complete):
     assert not any(isinstance(value, dict) for value in written.values())
     assert len(written["cost_per_iteration"]) == written["policy_iterations"] == 8
     assert written["learning_vehicle_seconds"] == 24.0
-    assert written["learning_env_steps"] == 400
+    assert written["learning_env_steps"] == 480
     assert written["capacity_initial_mean_kbps"] == pytest.approx(17.302, abs=1e-3)
     assert written["cost_total"] == metrics["cost_total"]
 

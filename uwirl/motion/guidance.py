@@ -29,6 +29,8 @@ Guidance = Callable[[Relay, RelayCost, ChainTargets], Lead]
 NEAR, FAR = 1.0, 3.0
 # Least q that sets the pace, or the last metres would take for ever; it shrinks within 2 m of the goal.
 PACE_FLOOR = 0.004
+# Distance between vehicles at which they begin to give way, m.
+KEEP_RIGHT = 6.0
 
 
 def go_straight(policy: LinkFramePolicy) -> Policy:
@@ -70,6 +72,22 @@ class Geodesic:
         return lambda policy: GeodesicPolicy(policy, Pilot(env, router), cost, self)
 
 
+def keep_right(way: Tensor, position: Tensor) -> Tensor:
+    """Ways that turn to the right of other vehicles ahead, or two that meet head-on would brake each other to a stop.
+
+    Args:
+        way: unit vectors, [B, M, 2]; zero at the goal.
+        position: [B, M, 3], m.
+    """
+    offset = position[..., None, :, :] - position[..., :, None, :]
+    close = ((KEEP_RIGHT - torch.linalg.vector_norm(offset, dim=-1)) / KEEP_RIGHT).clamp_min(0.0)
+    towards = torch.nn.functional.normalize(offset[..., :2], dim=-1)
+    right = torch.stack([towards[..., 1], -towards[..., 0]], -1)
+    ahead = (way[..., None, :] * towards).sum(-1).clamp_min(0.0)
+    turned = way + ((close * ahead)[..., None] * (right - towards)).sum(-2)
+    return torch.nn.functional.normalize(turned, dim=-1)
+
+
 @dataclass
 class GeodesicPolicy:
     """Surge and sway along the way; heave and yaw from the policy that also takes over near the goal.
@@ -98,7 +116,7 @@ class GeodesicPolicy:
         """tau [B, M, 4]."""
         self.pilot.update(state, step)
         goal = self.pilot.goal.to(state.components.dtype)
-        way = self.pilot.direction(state).to(goal.dtype)
+        way = keep_right(self.pilot.direction(state).to(goal.dtype), state.position)
         here = LinkFramePolicy(LinkFrame(goal, self.near.frame.bearing), self.near.actor, self.near.trim)
         tau = here(state, step)
         distance = torch.linalg.vector_norm(state.position[..., :2] - goal[..., :2], dim=-1)
@@ -114,7 +132,9 @@ class GeodesicPolicy:
         across = torch.stack([-u[..., 1], u[..., 0]], -1)
         q = link_cost(self.near.frame, self.cost, state.position) + self.pilot.avoidance(state, step)
         q = torch.maximum(q - self.pilot.rest_cost, PACE_FLOOR * (distance / 2.0).square().clamp_max(1.0))
-        drive = self.settings.gain * torch.sqrt(q / (self.cost.R[:2] * u.square()).sum(-1))
+        # At the goal itself there is no way.
+        effort = (self.cost.R[:2] * u.square()).sum(-1).clamp_min(torch.finfo(u.dtype).tiny)
+        drive = self.settings.gain * torch.sqrt(q / effort)
         drift = (state.nu[..., :2] * across).sum(-1)
         force = drive[..., None] * u - self.settings.lateral_damping * drift[..., None] * across
         # The way's bearing or its opposite, whichever the bow is nearer to.
