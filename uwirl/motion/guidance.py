@@ -31,6 +31,11 @@ NEAR, FAR = 1.0, 3.0
 PACE_FLOOR = 0.004
 # Distance between vehicles at which they begin to give way, m.
 KEEP_RIGHT = 6.0
+# Against a current: progress that a force is integrated for, m/s; its rate in N/m, and how it fades, 1/s; within which
+# distance of the goal, m, its error is integrated instead, N/s; the largest force, N.
+PROGRESS, PROGRESS_RATE, FORGETTING = 0.35, 8.0, 0.02
+INTEGRAL_WITHIN, GOAL_RATE = 2.0, 2.4
+PUSH = 40.0
 
 
 def go_straight(policy: LinkFramePolicy) -> Policy:
@@ -122,7 +127,29 @@ class GeodesicPolicy:
         distance = torch.linalg.vector_norm(state.position[..., :2] - goal[..., :2], dim=-1)
         far = self._along(state, step, way, distance)
         share = ((FAR - distance) / (FAR - NEAR)).clamp(0.0, 1.0)[..., None]
-        return (1.0 - share) * far + share * tau
+        tau = (1.0 - share) * far + share * tau
+        push = self._against_current(state, goal, way, distance)
+        return torch.cat([tau[..., :2] + push, tau[..., 2:]], -1)
+
+    def _against_current(self, state: VehicleState, goal: Tensor, way: Tensor, distance: Tensor) -> Tensor:
+        """Surge and sway force [B, M, 2] integrated from what is missing of progress, and of the goal near it.
+
+        It is kept in the inertial frame, as a current is.
+        """
+        if self.pilot.begins:
+            self.push = torch.zeros_like(way)
+        psi = state.eta[..., 3]
+        c, s = torch.cos(psi), torch.sin(psi)
+        u, v = state.nu[..., 0], state.nu[..., 1]
+        velocity = torch.stack([c * u - s * v, s * u + c * v], -1)
+        error = state.position[..., :2] - goal[..., :2]
+        slow = ((velocity * way).sum(-1) < PROGRESS)[..., None]
+        on_way = PROGRESS_RATE * slow * (PROGRESS * way - velocity) - FORGETTING * self.push
+        at_goal = -GOAL_RATE * error / (1.0 + distance[..., None])
+        rate = torch.where((distance > INTEGRAL_WITHIN)[..., None], on_way, at_goal)
+        self.push = (self.push + self.pilot.env.scenario.dt * rate).clamp(-PUSH, PUSH)
+        x, y = self.push.unbind(-1)
+        return torch.stack([c * x + s * y, c * y - s * x], -1)
 
     def _along(self, state: VehicleState, step: int, way: Tensor, distance: Tensor) -> Tensor:
         """tau [B, M, 4] that follows the unit vectors of the ways [B, M, 2] at the best pace."""

@@ -28,16 +28,19 @@ class Pilot:
     ways: Ways
 
     def __init__(self, env: Relay, router: Router):
+        self.env = env
         self.scenario = env.scenario
         self.router = router
         self.discovers = self.scenario.detection_range < torch.inf
         everywhere = self.scenario.obstacles
         self.drifts = bool((everywhere.velocity.any(-1) & everywhere.present).any())
         self.step: int | None = None
+        self.begins = True
 
     def update(self, state: VehicleState, step: int) -> None:
         """Plan what is new at a state [B, M]; everything, where a flight begins: when time has not moved on."""
-        if self.step is None or step <= self.step:
+        self.begins = self.step is None or step <= self.step
+        if self.begins:
             self._begin(state, step)
         elif (self.discovers or self.drifts) and step % round(LOOK_PERIOD / self.scenario.dt) == 0:
             self._look(state, step)
