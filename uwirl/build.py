@@ -9,11 +9,13 @@ import torch
 from torch import Tensor
 
 from uwirl.config.schema import (
+    BarrierGuardConfig,
     Config,
     CostConfig,
     EnergyGuardConfig,
     ExperienceConfig,
     GeodesicConfig,
+    GuardConfig,
     IrlConfig,
     LeastSquaresSolverConfig,
     ParallelConfig,
@@ -28,6 +30,7 @@ from uwirl.irl.least_squares import Regularisation
 from uwirl.irl.policy_iteration import StoppingRule
 from uwirl.irl.solvers import BatchLeastSquares, Bounds, ClassicalRls, Solver, ZRecursiveLeastSquares
 from uwirl.motion.avoidance import Avoidance, Printed, remark_2, smooth
+from uwirl.motion.barrier import BarrierGuard
 from uwirl.motion.baselines.pd import PdPlanner
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.excitation import Excitation, PoseDraw
@@ -94,6 +97,9 @@ def _obstacles(config: Config) -> Obstacles:
 def make_guard(config: Config) -> Guard:
     """What stands between policy and thrusters."""
     safety = config.safety
+    if isinstance(safety, BarrierGuardConfig):
+        u, v, w = safety.inertia_kg
+        return BarrierGuard(safety.margin_m, safety.separation_m, safety.k_1, safety.k_0, (u, v, w))
     if not isinstance(safety, EnergyGuardConfig):
         return unguarded
     return EnergyGuard(
@@ -117,7 +123,7 @@ def make_guidance(config: Config) -> Guidance:
         guidance.heading_stiffness,
         guidance.heading_damping,
         guidance.spacing_m,
-        config.safety.margin_m if isinstance(config.safety, EnergyGuardConfig) else 0.0,
+        config.safety.margin_m if isinstance(config.safety, GuardConfig) else 0.0,
     )
 
 

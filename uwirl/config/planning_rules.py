@@ -7,11 +7,13 @@ from itertools import combinations
 
 from uwirl.config.checks import AXES, ConfigError, each, finite, named, one_of, positive, steps
 from uwirl.config.schema import (
+    BarrierGuardConfig,
     Config,
     CostConfig,
     EnergyGuardConfig,
     ExperienceConfig,
     GeodesicConfig,
+    GuardConfig,
     GuidanceConfig,
     IrlConfig,
     LeastSquaresSolverConfig,
@@ -50,16 +52,10 @@ def check_cost(cost: CostConfig) -> None:
 
 
 def check_safety(safety: SafetyConfig, config: Config) -> None:
-    named(
-        safety.name, "safety.name", ("energy", "none"), ["energy" if isinstance(safety, EnergyGuardConfig) else "none"]
-    )
-    if isinstance(safety, EnergyGuardConfig):
+    guards = {EnergyGuardConfig: "energy", BarrierGuardConfig: "barrier"}
+    named(safety.name, "safety.name", ("energy", "barrier", "none"), [guards.get(type(safety), "none")])
+    if isinstance(safety, GuardConfig):
         positive(safety.margin_m, "safety.margin_m", zero=True)
-        for name in ("alpha", "mass_lower_kg", "mass_upper_kg", "brake_force_N"):
-            positive(getattr(safety, name), f"safety.{name}")
-        if safety.mass_upper_kg < safety.mass_lower_kg:
-            raise ConfigError("safety.mass_upper_kg", f"lies below safety.mass_lower_kg = {safety.mass_lower_kg:g}")
-        _check_brake(safety, config)
         positive(safety.separation_m, "safety.separation_m")
         start = config.scenario.start
         for (i, one), (j, other) in combinations(enumerate(start), 2):
@@ -68,6 +64,18 @@ def check_safety(safety: SafetyConfig, config: Config) -> None:
                     f"scenario.start[{j}]",
                     f"is closer than safety.separation_m = {safety.separation_m:g} m to vehicle {i}",
                 )
+    if isinstance(safety, BarrierGuardConfig):
+        positive(safety.k_1, "safety.k_1")
+        positive(safety.k_0, "safety.k_0")
+        finite(safety.inertia_kg, "safety.inertia_kg", 3)
+        if min(safety.inertia_kg) <= 0.0:
+            raise ConfigError("safety.inertia_kg", f"must be greater than 0 on each axis, got {safety.inertia_kg}")
+    if isinstance(safety, EnergyGuardConfig):
+        for name in ("alpha", "mass_lower_kg", "mass_upper_kg", "brake_force_N"):
+            positive(getattr(safety, name), f"safety.{name}")
+        if safety.mass_upper_kg < safety.mass_lower_kg:
+            raise ConfigError("safety.mass_upper_kg", f"lies below safety.mass_lower_kg = {safety.mass_lower_kg:g}")
+        _check_brake(safety, config)
 
 
 def _check_brake(safety: EnergyGuardConfig, config: Config) -> None:
@@ -95,7 +103,8 @@ def check_guidance(guidance: GuidanceConfig, scenario: ScenarioConfig) -> None:
         nodes = math.prod(side / guidance.spacing_m for side in sides) * len(scenario.start)
         if nodes > MAX_NODES:
             raise ConfigError(
-                "guidance.spacing_m", f"makes maps of {nodes:,.0f} nodes, of which memory holds {MAX_NODES:,}; choose a larger one"
+                "guidance.spacing_m",
+                f"makes maps of {nodes:,.0f} nodes, of which memory holds {MAX_NODES:,}; choose a larger one",
             )
 
 

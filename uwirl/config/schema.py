@@ -89,13 +89,24 @@ class PrintedCostConfig(CostConfig):
 
 @dataclass
 class SafetyConfig:
-    name: str = MISSING  # energy | none
+    name: str = MISSING  # energy | barrier | none
 
 
 @dataclass
-class EnergyGuardConfig(SafetyConfig):
+class GuardConfig(SafetyConfig):
     margin_m: float = MISSING
     separation_m: float = MISSING  # between the centres of vehicles
+
+
+@dataclass
+class BarrierGuardConfig(GuardConfig):
+    k_1: float = MISSING  # 1/s
+    k_0: float = MISSING  # 1/s^2
+    inertia_kg: list[float] = MISSING  # surge, sway, heave
+
+
+@dataclass
+class EnergyGuardConfig(GuardConfig):
     alpha: float = MISSING  # 1/s
     mass_upper_kg: float = MISSING
     mass_lower_kg: float = MISSING
@@ -227,7 +238,7 @@ def register() -> None:
         "basis": {"schema": BasisConfig},
         "cost": {"schema": CostConfig, "printed_schema": PrintedCostConfig},
         "guidance": {"schema": GuidanceConfig, "geodesic_schema": GeodesicConfig},
-        "safety": {"schema": SafetyConfig, "energy_schema": EnergyGuardConfig},
+        "safety": {"schema": SafetyConfig, "energy_schema": EnergyGuardConfig, "barrier_schema": BarrierGuardConfig},
         "solver": {"least_squares_schema": LeastSquaresSolverConfig, "rls_schema": RlsSolverConfig},
         "experience": {"virtual_links_schema": VirtualLinksConfig, "parallel_schema": ParallelConfig},
         "planner": {"irl_schema": IrlConfig, "pd_schema": PdConfig},

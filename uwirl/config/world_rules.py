@@ -5,7 +5,14 @@ from __future__ import annotations
 import math
 
 from uwirl.config.checks import AXES, ConfigError, each, finite, one_of, positive, steps
-from uwirl.config.schema import ChannelConfig, EnergyGuardConfig, SafetyConfig, ScenarioConfig, VehicleConfig
+from uwirl.config.schema import (
+    ChannelConfig,
+    EnergyGuardConfig,
+    GuardConfig,
+    SafetyConfig,
+    ScenarioConfig,
+    VehicleConfig,
+)
 
 # Of the real axis that classical RK4 integrates stably, |lambda dt| < 2.785.
 RK4_STABILITY = 2.785
@@ -46,7 +53,7 @@ def check_scenario(scenario: ScenarioConfig) -> None:
 
 def check_obstacles(scenario: ScenarioConfig, safety: SafetyConfig) -> None:
     """Well-formed, and neither on a start nor on a target, with the guard's margin."""
-    margin = safety.margin_m if isinstance(safety, EnergyGuardConfig) else 0.0
+    margin = safety.margin_m if isinstance(safety, GuardConfig) else 0.0
     occupied = {f"the start of vehicle {i}": eta for i, eta in enumerate(scenario.start)}
     hops = len(scenario.start) + 1
     for i in range(1, hops):

@@ -32,6 +32,8 @@ from uwirl.world.vehicle import VehicleState
 Guard = Callable[[Relay, Policy], Policy]
 
 PROJECTIONS = 3
+# Time in which a full brake would have a lost h back, in steps.
+RECOVERY_STEPS = 4
 
 
 class Neighbours(NamedTuple):
@@ -143,11 +145,14 @@ class EnergyGuard:
         left = torch.linalg.vector_norm((safe[..., None, :] - centre) * axes, dim=-1) - radius
         violated = left.amax(-1, keepdim=True)
         nearest = h.argmin(-1, keepdim=True)
-        velocity, held = _pick(nu, nearest), axes[nearest[..., 0]]
-        speed = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
-        # No more than stops the vehicle within the step, or it would be thrown back.
+        held = axes[nearest[..., 0]]
+        # Brake to the speed at which h recovers: to rest alone, a current would press the vehicle in.
+        recovery = (-h.gather(-1, nearest)).clamp_min(0.0) / (RECOVERY_STEPS * dt)
+        error = _pick(nu, nearest) - recovery * _pick(n, nearest)
+        speed = torch.linalg.vector_norm(error, dim=-1, keepdim=True)
+        # No more than takes that speed off within the step, or the vehicle would be thrown back.
         brake = (self.mass_lower_kg * speed / dt).clamp_max(self.brake_force_N)
-        braking = torch.where(held > 0.0, -brake * velocity / speed.clamp_min(1e-9), force)
+        braking = torch.where(held > 0.0, -brake * error / speed.clamp_min(1e-9), force)
         return torch.where(violated > 0.5, braking, safe)
 
 

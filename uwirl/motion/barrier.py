@@ -1,0 +1,129 @@
+"""safety=barrier: the second-order control barrier function, an exact quadratic program of two forces.
+
+With h = l - rho - r_v - margin for an obstacle and d - separation for another vehicle, n the unit vector towards the
+own vehicle and v_t the relative speed across n,
+
+    h'' + k_1 h' + k_0 h >= 0,   h'' = n . a + v_t^2 / l,   a = tau / m
+
+is a half-plane of surge and sway forces; vehicles share the bound between them, and heave is taken as it comes. Unlike
+the energy guard this needs the vehicle's inertia, and leaves drag out. At most two half-planes or limits hold with
+equality at the optimum, so that trying them all is exact. (Wang, Ames, Egerstedt: "Safety barrier certificates for
+collisions-free multirobot systems", IEEE Transactions on Robotics 33, 2017.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from uwirl.motion.policy import Policy
+from uwirl.motion.safety import obstacle_neighbours, vehicle_neighbours
+from uwirl.world.relay import Relay
+from uwirl.world.vehicle import VehicleState
+
+
+@dataclass(frozen=True)
+class BarrierGuard:
+    """safety=barrier.
+
+    Attributes:
+        margin_m: clearance to keep from obstacles, m.
+        separation_m: distance to keep between the centres of vehicles, m.
+        k_1: 1/s.
+        k_0: 1/s^2.
+        inertia_kg: in surge, sway and heave, as believed.
+    """
+
+    margin_m: float
+    separation_m: float
+    k_1: float
+    k_0: float
+    inertia_kg: tuple[float, float, float]
+
+    def __call__(self, env: Relay, policy: Policy) -> Policy:
+        """The policy, with surge and sway changed as little as the barriers ask for."""
+        scenario, vehicle = env.scenario, env.vehicle
+        if scenario.obstacles.count == 0 and scenario.vehicles == 1:
+            return policy
+
+        def guarded(state: VehicleState, step: int) -> Tensor:
+            tau = vehicle.saturate(policy(state, step))
+            planes = []
+            if scenario.obstacles.count:
+                planes.append(self._obstacles(env, state, step * scenario.dt))
+            if scenario.vehicles > 1:
+                planes.append(self._vehicles(state, tau))
+            normal, least = (
+                torch.cat(parts, dim) for parts, dim in zip(zip(*planes, strict=True), (-2, -1), strict=True)
+            )
+            return torch.cat([nearest_force(tau[..., :2], normal, least, vehicle.tau_max[:2]), tau[..., 2:]], -1)
+
+        return guarded
+
+    def _obstacles(self, env: Relay, state: VehicleState, time: float) -> tuple[Tensor, Tensor]:
+        near = obstacle_neighbours(env, state, time)
+        l = near.clearance + env.scenario.vehicle_radius + env.scenario.obstacles.radius[..., None, :]
+        least = self._least(near.n, near.nu, near.clearance - self.margin_m, l)
+        return near.n[..., :2] / self._inertia(near.n)[:2], least
+
+    def _vehicles(self, state: VehicleState, tau: Tensor) -> tuple[Tensor, Tensor]:
+        near = vehicle_neighbours(state)
+        # Relative velocities, in the axes of the vehicle that they are for.
+        psi = state.eta[..., 3]
+        c, s = torch.cos(psi), torch.sin(psi)
+        u, v, w = state.nu[..., :3].unbind(-1)
+        inertial = torch.stack([c * u - s * v, s * u + c * v, w], -1)
+        x, y, z = (inertial[..., :, None, :] - inertial[..., None, :, :]).unbind(-1)
+        c, s = c[..., None], s[..., None]
+        relative = torch.stack([c * x + s * y, c * y - s * x, z], -1)
+        least = 0.5 * self._least(near.n, relative, near.clearance - self.separation_m, near.clearance)
+        inertia = self._inertia(near.n)
+        return near.n[..., :2] / inertia[:2], least - near.n[..., 2] * tau[..., 2, None] / inertia[2]
+
+    def _inertia(self, like: Tensor) -> Tensor:
+        return like.new_tensor(self.inertia_kg)
+
+    def _least(self, n: Tensor, nu: Tensor, h: Tensor, l: Tensor) -> Tensor:
+        """Least admissible n . a, [..., C]; minus infinity where there is nothing."""
+        rate = (n * nu).sum(-1)
+        across = nu.square().sum(-1) - rate.square()
+        return -self.k_1 * rate - self.k_0 * h - across.clamp_min(0.0) / l
+
+
+def nearest_force(wanted: Tensor, normal: Tensor, least: Tensor, force_max: Tensor) -> Tensor:
+    """The force nearest to the wanted one with normal . force >= least and |force| <= force_max; else what violates least of those tried.
+
+    Args:
+        wanted: [..., 2], N.
+        normal: [..., C, 2].
+        least: [..., C]; minus infinity where there is no constraint.
+        force_max: [2], N.
+
+    Returns:
+        [..., 2], N, within the limits.
+    """
+    size = torch.linalg.vector_norm(normal, dim=-1).clamp_min(1e-12)
+    # Where there is no constraint, one that always holds.
+    b = torch.where(least.isfinite(), least / size, -10.0 * force_max.sum())
+    box = torch.cat([torch.eye(2), -torch.eye(2)]).to(wanted)
+    A = torch.cat([normal / size[..., None], box.expand(*normal.shape[:-2], 4, 2)], -2)
+    b = torch.cat([b, -force_max.repeat(2).expand(*b.shape[:-1], 4)], -1)
+    lacking = (b - (A * wanted[..., None, :]).sum(-1)).clamp_min(0.0)
+    one = wanted[..., None, :] + lacking[..., None] * A
+    i, j = torch.triu_indices(b.shape[-1], b.shape[-1], 1, device=b.device)
+    (a1, a2), (b1, b2) = (A[..., i, :], A[..., j, :]), (b[..., i], b[..., j])
+    det = a1[..., 0] * a2[..., 1] - a1[..., 1] * a2[..., 0]
+    det = torch.where(det.abs() < 1e-6, torch.inf, det)
+    two = torch.stack([b1 * a2[..., 1] - b2 * a1[..., 1], a1[..., 0] * b2 - a2[..., 0] * b1], -1) / det[..., None]
+    candidates = torch.cat([wanted[..., None, :], one, two], -2)
+    violation = (b[..., None, :] - (A[..., None, :, :] * candidates[..., :, None, :]).sum(-1)).clamp_min(0.0)
+    admissible = (violation < 1e-6).all(-1)
+    within = (violation[..., -4:] < 1e-6).all(-1)
+    change = torch.linalg.vector_norm(candidates - wanted[..., None, :], dim=-1)
+    # Admissible ones by the change, others by the violation.
+    score = torch.where(admissible, change, 1e6 + violation[..., :-4].amax(-1))
+    best = torch.where(within, score, torch.inf).argmin(-1)
+    force = candidates.gather(-2, best[..., None, None].expand(*best.shape, 1, 2))[..., 0, :]
+    return torch.maximum(torch.minimum(force, force_max), -force_max)
