@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import torch
 from torch import Tensor
@@ -21,8 +21,10 @@ from uwirl.config.schema import (
     ParallelConfig,
     PdConfig,
     PlannerConfig,
+    PotentialFieldConfig,
     PrintedCostConfig,
     RlsSolverConfig,
+    TrajectoryOptimizationConfig,
     VirtualLinksConfig,
 )
 from uwirl.irl.bellman import BellmanOperator
@@ -31,20 +33,28 @@ from uwirl.irl.policy_iteration import StoppingRule
 from uwirl.irl.solvers import BatchLeastSquares, Bounds, ClassicalRls, Solver, ZRecursiveLeastSquares
 from uwirl.motion.avoidance import Avoidance, Printed, remark_2, smooth
 from uwirl.motion.barrier import BarrierGuard
+from uwirl.motion.baselines.guesses import Guess, guesses_on_the_map
 from uwirl.motion.baselines.pd import PdPlanner
+from uwirl.motion.baselines.potential_field import PotentialField
+from uwirl.motion.baselines.trajectory_optimization import TrajectoryOptimization
 from uwirl.motion.cost import RelayCost
-from uwirl.motion.excitation import Excitation, PoseDraw
+from uwirl.motion.excitation import ArenaDraw, Excitation, PoseDraw
 from uwirl.motion.experience import Parallel, VirtualLinks, Window
 from uwirl.motion.features import ErrorBasis, LinkFrameBasis, MotionBasis
+from uwirl.motion.geodesic_basis import GeodesicBasis, LearnedGeodesic
 from uwirl.motion.guidance import Geodesic, Guidance, straight
-from uwirl.motion.planner import CostFactory, ExperienceSource, IrlPlanner, Planner
+from uwirl.motion.planner import CostFactory, ExperienceSource, IrlPlanner, LearningPlanner, Planner
+from uwirl.motion.policy import Policy
+from uwirl.motion.route import MapSettings
 from uwirl.motion.safety import EnergyGuard, Guard, unguarded
-from uwirl.motion.targets import ChainTargets
+from uwirl.motion.targets import ChainTargets, mean_channel_targets
+from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.estimators import ESTIMATORS, Estimator
 from uwirl.world.acoustics import Channel
 from uwirl.world.current import Current
+from uwirl.world.layouts import Layouts, draw_layouts
 from uwirl.world.obstacles import Obstacles, no_obstacles
-from uwirl.world.random import RandomStreams
+from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario, spread_sensors
 from uwirl.world.vehicle import Vehicle
@@ -94,6 +104,21 @@ def _obstacles(config: Config) -> Obstacles:
     )
 
 
+def make_layouts(config: Config) -> tuple[Relay, Layouts]:
+    """Random layouts, and the environment that they share but for starts and obstacles."""
+    settings = config.scenario.layouts
+    assert settings is not None
+    streams = RandomStreams.worlds(settings.seed, settings.count, config.device)
+    env = make_relay(config, streams)
+    targets = mean_channel_targets(env.scenario, env.channel).frame.target
+    layouts = draw_layouts(streams, settings.kinds, targets, settings.half_width_m, env.scenario.vehicle_radius)
+    bearing = 2.0 * math.pi * streams.uniform(Stream.DISTURBANCE, 1, 1)[:, 0]
+    side = torch.stack([torch.cos(bearing), torch.sin(bearing), torch.zeros_like(bearing)], -1).to(targets.dtype)
+    current = env.scenario.current
+    current = replace(current, mean=current.mean + settings.current_mps * side)
+    return Relay(replace(env.scenario, current=current), env.vehicle, env.channel, streams), layouts
+
+
 def make_guard(config: Config) -> Guard:
     """What stands between policy and thrusters."""
     safety = config.safety
@@ -122,8 +147,8 @@ def make_guidance(config: Config) -> Guidance:
         guidance.lateral_damping,
         guidance.heading_stiffness,
         guidance.heading_damping,
-        guidance.spacing_m,
         config.safety.margin_m if isinstance(config.safety, GuardConfig) else 0.0,
+        MapSettings(guidance.spacing_m, guidance.exponent, guidance.hard_clearance_m),
     )
 
 
@@ -155,17 +180,36 @@ def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
         return make_cost(config.cost, channel, targets, env.vehicle.tau_max)
 
     if isinstance(planner, PdConfig):
-        return PdPlanner(
+        pd = PdPlanner(
             cost,
             planner.position_gain,
             planner.velocity_gain,
             planner.saturation_m,
             planner.calibration_s,
             make_guard(config),
-            make_guidance(config),
+            # A field leads by itself.
+            straight if isinstance(planner, PotentialFieldConfig) else make_guidance(config),
         )
+        return (
+            PotentialField(pd, planner.repulsion, planner.reach_m) if isinstance(planner, PotentialFieldConfig) else pd
+        )
+    if isinstance(planner, TrajectoryOptimizationConfig):
+
+        def guesses(worlds: Relay, running_cost: RelayCost, targets: ChainTargets) -> list[Guess]:
+            return guesses_on_the_map(worlds, running_cost, targets, planner.speeds_mps, planner.intervals)
+
+        return TrajectoryOptimization(cost, guesses, planner.intervals)
     assert isinstance(planner, IrlConfig)
     return _irl_planner(config, planner, env, cost)
+
+
+def policy_in(worlds: Relay, config: Config, planner: Planner, estimate: ChannelEstimate) -> Policy:
+    """What a planner has found, in other worlds between the same nodes."""
+    if not isinstance(planner, LearningPlanner):
+        return planner.fit(worlds, estimate)
+    targets = mean_channel_targets(worlds.scenario, estimate.channel)
+    cost = make_cost(config.cost, estimate.channel, targets, worlds.vehicle.tau_max)
+    return make_guidance(config)(worlds, cost, targets)(planner.policy)
 
 
 def _irl_planner(config: Config, planner: IrlConfig, env: Relay, cost: CostFactory) -> IrlPlanner:
@@ -196,13 +240,21 @@ def _irl_planner(config: Config, planner: IrlConfig, env: Relay, cost: CostFacto
         updates=planner.updates,
         stopping=StoppingRule(planner.tolerance_weights, planner.max_time_s),
         guard=make_guard(config),
-        guidance=make_guidance(config),
+        guidance=_learned_geodesic(config) if config.basis.name == "geodesic" else make_guidance(config),
     )
+
+
+def _learned_geodesic(config: Config) -> LearnedGeodesic:
+    guidance = make_guidance(config)
+    assert isinstance(guidance, Geodesic)
+    return LearnedGeodesic(guidance.margin_m, guidance.map_settings)
 
 
 def _basis(config: Config, cost: RelayCost) -> MotionBasis:
     if config.basis.name == "link_frame":
         return LinkFrameBasis(cost, config.basis.length_scales_m)
+    if config.basis.name == "geodesic":
+        return GeodesicBasis(cost, config.basis.length_scales_m, _learned_geodesic(config))
     return ErrorBasis(velocity=config.basis.name == "error_velocity")
 
 
@@ -228,7 +280,8 @@ def _pose_draw(config: Config, experience: ExperienceConfig) -> PoseDraw:
     c, s = math.cos(bearing), math.sin(bearing)
     errors = [[p - a - h for p, a, h in zip(eta[:3], source, half, strict=True)] for eta in config.scenario.start]
     along = 1.05 * max(math.hypot(*half), *(abs(c * x + s * y) for x, y, _ in errors))
-    return PoseDraw(
+    family = ArenaDraw if config.basis.name == "geodesic" else PoseDraw
+    return family(
         along_m=along,
         across_m=max(experience.across_share * along, *(1.05 * abs(c * y - s * x) for x, y, _ in errors)),
         up_m=max(experience.up_m, *(1.05 * abs(z) for _, _, z in errors)),

@@ -64,7 +64,7 @@ def test_command_line_beats_parallels_limit(overrides: list[str]):
 
 
 def test_command_line_beats_the_experiments_choice(make_config):
-    chosen, overridden = make_config(), make_config("channel=acoustic_24khz", "experiment=fig5_free")
+    chosen, overridden = make_config(), make_config("channel=acoustic_24khz", "experiment=fig5_single")
     assert chosen.channel.absorption == "none"
     assert overridden.channel.absorption == "thorp"
     assert overridden.channel.frequency_khz == 24.0

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from uwirl import build
-from uwirl.motion.route import HARD_CLEARANCE, Router
+from uwirl.motion.route import MapSettings, Router
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import oracle
 from uwirl.snr.measurements import take_readings
@@ -51,14 +51,14 @@ def fly(world):
 
 
 def test_free_water_leads_straight(world):
-    config, env, _, targets, cost = world()
+    config, env, _, targets, cost = world("experiment=fig5_free")
     policy = object()
     assert build.make_guidance(config)(env, cost, targets)(policy) is policy
 
 
 def ways(env, targets, cost, start=None):
     """The plan of all vehicles of one world from the scenario's start, or another."""
-    router = Router(env.scenario, targets.frame, cost, spacing_m=0.5, margin_m=0.1)
+    router = Router(env.scenario, targets.frame, cost, 0.1, MapSettings(spacing_m=0.5))
     start = env.scenario.start if start is None else start
     obstacles = env.scenario.obstacles.each(lambda field: field.expand(len(start), *field.shape))
     return router.plan(torch.arange(len(start)), start[:, :2], obstacles, 0.0)
@@ -69,7 +69,7 @@ def test_way_keeps_clear_and_arrives(world, overrides):
     _, env, _, targets, cost = world(*overrides)
     plan = ways(env, targets, cost)
     path = plan.map.path(env.scenario.start[None, :, :2])[0, 0]
-    assert float(env.scenario.clearance(path[:, None]).min()) > HARD_CLEARANCE
+    assert float(env.scenario.clearance(path[:, None]).min()) > 0.25
     torch.testing.assert_close(path[-1], targets.frame.target[0, :2], rtol=0, atol=1e-2)
     assert not bool(plan.blocked.any())
 

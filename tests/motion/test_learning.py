@@ -24,6 +24,7 @@ def learn(make_config, make_relay):
     """Learn with a configuration; returns environment, planner and records."""
 
     def run(*overrides: str, seeds=None):
+        overrides = ("experiment=fig5_free", *overrides)
         config = make_config(*overrides)
         env = make_relay(*overrides, streams=RandomStreams.replicates(seeds) if seeds else None)
         estimate = build.make_estimator(config)(take_readings(env), env.channel)

@@ -154,7 +154,7 @@ def test_free_water_has_no_guard(make_relay, guard):
     def policy(state, step):
         return state.nu
 
-    assert guard(make_relay(), policy) is policy
+    assert guard(make_relay("experiment=fig5_free"), policy) is policy
 
 
 def test_heave_and_yaw_pass_through(make_relay, guard):

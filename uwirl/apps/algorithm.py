@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import logging
 import time
 from dataclasses import asdict
@@ -13,9 +12,11 @@ import torch
 
 import uwirl
 from uwirl import build
+from uwirl.apps import pictures
+from uwirl.apps.layouts import campaign
 from uwirl.apps.progress import Progress
 from uwirl.apps.summary import table
-from uwirl.config.schema import Config, IrlConfig
+from uwirl.config.schema import Config, IrlConfig, PlannerConfig
 from uwirl.irl.policy_iteration import InadmissiblePolicyError, InsufficientDataError, IterationRecord
 from uwirl.motion.planner import LearningPlanner, Planner
 from uwirl.motion.policy import Policy
@@ -94,6 +95,14 @@ def _algorithm_1(config: Config, folder: Path) -> dict[str, Any]:
     planner = build.make_planner(config, config.planner, env)
     policy, records = _plan(config, planner, env, estimate, board)
 
+    if config.scenario.layouts is not None:
+        learned = {}
+        if isinstance(planner, LearningPlanner) and records:
+            learned = _learning_metrics(config, planner, records)
+            checkpoint.save(folder / "checkpoints" / "last.pt", _checkpoint(config, estimate, records[-1], learned))
+        outcomes = campaign(config, lambda worlds: build.policy_in(worlds, config, planner, estimate), folder)
+        return _estimate_metrics(estimate) | learned | outcomes
+
     judge = _Judge(config, env)
     evaluation = judge.fly(policy)
     rows = {config.planner.name: evaluation}
@@ -101,11 +110,9 @@ def _algorithm_1(config: Config, folder: Path) -> dict[str, Any]:
     if isinstance(planner, LearningPlanner) and records:
         start, costs = judge.iterates(planner, records)
         rows = {"start policy": start, **judge.baseline(estimate), **rows}
-        metrics |= _learning_metrics(config, records, evaluation) | {
-            "cost_total_start_policy": float(start.cost[0]),
-            "cost_per_iteration": costs,
-            "learning_collisions": planner.recorder.contacts,
-        }
+        metrics |= _learning_metrics(config, planner, records)
+        metrics["converged"] = records[-1].converged and _settled(config.planner, evaluation)
+        metrics |= {"cost_total_start_policy": float(start.cost[0]), "cost_per_iteration": costs}
         checkpoint.save(folder / "checkpoints" / "last.pt", _checkpoint(config, estimate, records[-1], metrics))
         if board:
             board.cost_per_iteration(costs)
@@ -113,7 +120,7 @@ def _algorithm_1(config: Config, folder: Path) -> dict[str, Any]:
     if board:
         board.evaluation(evaluation)
         board.close()
-    _figure(config, folder, env, evaluation, records, planner)
+    pictures.mission(config.logging, folder, env, evaluation, records, planner)
     for line in table(rows):
         log.info("%s", line)
     return metrics
@@ -184,18 +191,22 @@ def _estimate_metrics(estimate: ChannelEstimate) -> dict[str, Any]:
     return metrics
 
 
-def _learning_metrics(config: Config, records: list[IterationRecord], evaluation: Evaluation) -> dict[str, Any]:
-    assert isinstance(config.planner, IrlConfig)
+def _learning_metrics(config: Config, planner: LearningPlanner, records: list[IterationRecord]) -> dict[str, Any]:
     last = records[-1]
-    inverse = 1.0 / evaluation.chain_capacity[:, 0]
-    window = round(config.planner.window_s / config.scenario.dt_s)
-    settled = float((inverse[-1] - inverse[-1 - window]).abs()) < config.planner.tolerance_inverse_capacity
     return {
         "learning_vehicle_seconds": last.seconds,
         "learning_env_steps": round(last.seconds / config.scenario.dt_s),
+        "learning_collisions": planner.recorder.contacts,
         "policy_iterations": last.iteration,
-        "converged": last.converged and settled,
     }
+
+
+def _settled(planner: PlannerConfig, evaluation: Evaluation) -> bool:
+    """epsilon_4: whether 1/C no longer changes over a window at the end of the mission."""
+    assert isinstance(planner, IrlConfig)
+    inverse = 1.0 / evaluation.chain_capacity[:, 0]
+    window = round(planner.window_s / evaluation.trajectory.dt)
+    return float((inverse[-1] - inverse[-1 - window]).abs()) < planner.tolerance_inverse_capacity
 
 
 def _checkpoint(
@@ -212,24 +223,3 @@ def _checkpoint(
         "theta_covariance": estimate.covariance,
         "metrics": metrics,
     }
-
-
-def _figure(
-    config: Config,
-    folder: Path,
-    env: Relay,
-    evaluation: Evaluation,
-    records: list[IterationRecord],
-    planner: Planner,
-) -> None:
-    if not config.logging.figures:
-        return
-    if importlib.util.find_spec("matplotlib") is None:
-        log.info("no figure: matplotlib is not installed (pip install 'uwirl[plot]')")
-        return
-    from uwirl.study import figures
-
-    basis = planner.basis if isinstance(planner, LearningPlanner) else None
-    path = folder / "figures" / "mission.png"
-    figures.save(figures.mission_figure(env.scenario, evaluation, records, basis), path)
-    log.info("figure: %s", path)

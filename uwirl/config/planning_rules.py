@@ -20,11 +20,13 @@ from uwirl.config.schema import (
     ParallelConfig,
     PdConfig,
     PlannerConfig,
+    PotentialFieldConfig,
     PrintedCostConfig,
     RlsSolverConfig,
     SafetyConfig,
     ScenarioConfig,
     SolverConfig,
+    TrajectoryOptimizationConfig,
     VirtualLinksConfig,
 )
 from uwirl.config.world_rules import current_drag_N
@@ -93,11 +95,13 @@ def _check_brake(safety: EnergyGuardConfig, config: Config) -> None:
 
 
 def check_guidance(guidance: GuidanceConfig, scenario: ScenarioConfig) -> None:
-    here = "geodesic" if isinstance(guidance, GeodesicConfig) else "straight"
-    named(guidance.name, "guidance.name", ("straight", "geodesic"), [here])
+    here = ["geodesic", "unit_cost"] if isinstance(guidance, GeodesicConfig) else ["straight"]
+    named(guidance.name, "guidance.name", ("straight", "geodesic", "unit_cost"), here)
     if isinstance(guidance, GeodesicConfig):
         for name in ("gain", "lateral_damping", "heading_stiffness", "heading_damping", "spacing_m"):
             positive(getattr(guidance, name), f"guidance.{name}")
+        for name in ("exponent", "hard_clearance_m"):
+            positive(getattr(guidance, name), f"guidance.{name}", zero=True)
         places = [scenario.source_m, scenario.destination_m, *scenario.start, *(o.center_m for o in scenario.obstacles)]
         sides = [max(p[axis] for p in places) - min(p[axis] for p in places) for axis in (0, 1)]
         nodes = math.prod(side / guidance.spacing_m for side in sides) * len(scenario.start)
@@ -153,12 +157,24 @@ def check_experience(experience: ExperienceConfig, planner: IrlConfig, dt: float
 
 def check_planner(planner: PlannerConfig, group: str, config: Config) -> None:
     dt = config.scenario.dt_s
-    named(planner.name, f"{group}.name", ("irl", "pd"), ["irl" if isinstance(planner, IrlConfig) else "pd"])
+    kinds = {IrlConfig: "irl", PdConfig: "pd", PotentialFieldConfig: "potential_field"}
+    kinds |= {TrajectoryOptimizationConfig: "trajectory_optimization"}
+    named(planner.name, f"{group}.name", kinds.values(), [kinds[type(planner)]])
     steps(planner.calibration_s, dt, f"{group}.calibration_s", least=4)
     if isinstance(planner, PdConfig):
         each(planner.position_gain, f"{group}.position_gain", 4)
         each(planner.velocity_gain, f"{group}.velocity_gain", 4)
         positive(planner.saturation_m, f"{group}.saturation_m")
+    if isinstance(planner, TrajectoryOptimizationConfig):
+        if planner.intervals < 10:
+            raise ConfigError(f"{group}.intervals", f"must be at least 10, got {planner.intervals}")
+        for speed in planner.speeds_mps:
+            positive(speed, f"{group}.speeds_mps")
+        if not planner.speeds_mps:
+            raise ConfigError(f"{group}.speeds_mps", "needs at least one speed")
+    if isinstance(planner, PotentialFieldConfig):
+        positive(planner.repulsion, f"{group}.repulsion")
+        positive(planner.reach_m, f"{group}.reach_m")
     if isinstance(planner, IrlConfig):
         window = steps(planner.window_s, dt, f"{group}.window_s", least=2)
         if window % 2:

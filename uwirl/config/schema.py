@@ -18,6 +18,17 @@ class ObstacleConfig:
 
 
 @dataclass
+class LayoutsConfig:
+    """Random layouts that what was learned is judged in, instead of the scenario's own start and obstacles."""
+
+    count: int = MISSING
+    seed: int = MISSING
+    kinds: list[str] = MISSING  # taken in turn: sparse | random | overlapping | dead_end | ring | moving
+    half_width_m: float = 30.0  # of the square around the targets in which vehicles start
+    current_mps: float = 0.0  # of a constant current from another side in each world
+
+
+@dataclass
 class ScenarioConfig:
     source_m: list[float] = MISSING  # [x, y, z], z up
     destination_m: list[float] = MISSING
@@ -25,6 +36,7 @@ class ScenarioConfig:
     start: list[Any] = MISSING
     sensors: Any = MISSING  # a number, spread by the seed, or a list of [x, y, z] in m
     obstacles: list[ObstacleConfig] = field(default_factory=list)
+    layouts: LayoutsConfig | None = None
     detection_range_m: float = MISSING  # from hull to hull; .inf where the map is known
     current_mps: list[float] = MISSING  # mean of the ocean current, inertial [x, y, z]
     current_std_mps: float = MISSING  # of its Gauss-Markov part, each horizontal component
@@ -65,8 +77,8 @@ class EstimatorConfig:
 
 @dataclass
 class BasisConfig:
-    name: str = MISSING  # link_frame | error_quadratic | error_velocity
-    length_scales_m: list[float] = field(default_factory=list)  # link_frame only; .inf gives the linear feature
+    name: str = MISSING  # link_frame | geodesic | error_quadratic | error_velocity
+    length_scales_m: list[float] = field(default_factory=list)  # link_frame and geodesic; .inf gives the linear feature
 
 
 @dataclass
@@ -159,7 +171,7 @@ class ParallelConfig(ExperienceConfig):
 
 @dataclass
 class PlannerConfig:
-    name: str = MISSING  # irl | pd
+    name: str = MISSING  # irl | pd | potential_field | trajectory_optimization
     calibration_s: float = MISSING
 
 
@@ -185,6 +197,18 @@ class PdConfig(PlannerConfig):
 
 
 @dataclass
+class PotentialFieldConfig(PdConfig):
+    repulsion: float = MISSING  # N m^3
+    reach_m: float = MISSING  # clearance at which it begins
+
+
+@dataclass
+class TrajectoryOptimizationConfig(PlannerConfig):
+    intervals: int = MISSING
+    speeds_mps: list[float] = MISSING  # of the guesses along the map
+
+
+@dataclass
 class GuidanceConfig:
     name: str = MISSING  # straight | geodesic
 
@@ -196,12 +220,15 @@ class GeodesicConfig(GuidanceConfig):
     heading_stiffness: float = MISSING  # N m, added to the led policy's while routing
     heading_damping: float = MISSING  # N m s/rad
     spacing_m: float = MISSING  # of the map
+    exponent: float = MISSING  # of the slowness in q; 0 gives the shortest way
+    hard_clearance_m: float = MISSING  # closer than this counts as inside an obstacle
 
 
 @dataclass
 class LoggingConfig:
     tensorboard: bool = MISSING
     figures: bool = MISSING
+    animation: bool = MISSING
     progress: bool = MISSING
 
 
@@ -241,7 +268,12 @@ def register() -> None:
         "safety": {"schema": SafetyConfig, "energy_schema": EnergyGuardConfig, "barrier_schema": BarrierGuardConfig},
         "solver": {"least_squares_schema": LeastSquaresSolverConfig, "rls_schema": RlsSolverConfig},
         "experience": {"virtual_links_schema": VirtualLinksConfig, "parallel_schema": ParallelConfig},
-        "planner": {"irl_schema": IrlConfig, "pd_schema": PdConfig},
+        "planner": {
+            "irl_schema": IrlConfig,
+            "pd_schema": PdConfig,
+            "potential_field_schema": PotentialFieldConfig,
+            "trajectory_optimization_schema": TrajectoryOptimizationConfig,
+        },
         "logging": {"schema": LoggingConfig},
     }
     for group, schemas in groups.items():

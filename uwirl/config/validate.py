@@ -9,6 +9,7 @@ from uwirl.config.world_rules import (
     check_channel,
     check_current,
     check_detection,
+    check_layouts,
     check_obstacles,
     check_scenario,
     check_vehicle,
@@ -26,10 +27,11 @@ def validate(config: Config) -> None:
     check_scenario(config.scenario)
     check_channel(config.channel)
     check_vehicle(config.vehicle, config.scenario.dt_s)
+    check_layouts(config.scenario)
     check_current(config.scenario, config.vehicle)
     one_of(config.estimator.name, "estimator.name", ("least_squares", "oracle"))
-    one_of(config.basis.name, "basis.name", ("link_frame", "error_quadratic", "error_velocity"))
-    if config.basis.name == "link_frame":
+    one_of(config.basis.name, "basis.name", ("link_frame", "geodesic", "error_quadratic", "error_velocity"))
+    if config.basis.name in ("link_frame", "geodesic"):
         scales = config.basis.length_scales_m
         if not scales or any(not L > 0.0 for L in scales) or len(set(scales)) < len(scales):
             raise ConfigError("basis.length_scales_m", f"needs one or more different positive lengths, got {scales}")

@@ -16,6 +16,8 @@ from uwirl.config.schema import (
 
 # Of the real axis that classical RK4 integrates stably, |lambda dt| < 2.785.
 RK4_STABILITY = 2.785
+# Those of uwirl.world.layouts, which needs torch; a test compares them.
+LAYOUT_KINDS = ("sparse", "random", "overlapping", "dead_end", "ring", "moving")
 
 
 def check_scenario(scenario: ScenarioConfig) -> None:
@@ -84,9 +86,15 @@ def check_current(scenario: ScenarioConfig, vehicle: VehicleConfig) -> None:
         )
 
 
+def current_speed(scenario: ScenarioConfig) -> float:
+    """Largest, m/s, the Gauss-Markov part taken at three standard deviations."""
+    layouts = scenario.layouts.current_mps if scenario.layouts else 0.0
+    return math.hypot(*scenario.current_mps) + layouts + 3.0 * scenario.current_std_mps
+
+
 def current_drag_N(scenario: ScenarioConfig, vehicle: VehicleConfig) -> float:
-    """Largest drag of the current on a resting vehicle, the Gauss-Markov part taken at three standard deviations."""
-    speed = math.hypot(*scenario.current_mps) + 3.0 * scenario.current_std_mps
+    """Largest drag of the current on a resting vehicle, N."""
+    speed = current_speed(scenario)
     return max(
         linear * speed + quadratic * speed**2
         for linear, quadratic in zip(vehicle.linear_damping[:3], vehicle.quadratic_damping[:3], strict=True)
@@ -102,7 +110,7 @@ def check_detection(scenario: ScenarioConfig, vehicle: VehicleConfig, safety: Sa
     linear, quadratic = min(vehicle.linear_damping[:2]), min(vehicle.quadratic_damping[:2])
     thrust = math.hypot(*vehicle.tau_max[:2])
     speed = (math.sqrt(linear**2 + 4.0 * quadratic * thrust) - linear) / (2.0 * quadratic)
-    speed += math.hypot(*scenario.current_mps) + 3.0 * scenario.current_std_mps
+    speed += current_speed(scenario)
     speed += max((math.hypot(*obstacle.velocity_mps) for obstacle in scenario.obstacles), default=0.0)
     braking = safety.margin_m + speed * scenario.dt_s + safety.mass_upper_kg * speed**2 / (2.0 * safety.brake_force_N)
     if scenario.detection_range_m < braking:
@@ -110,6 +118,22 @@ def check_detection(scenario: ScenarioConfig, vehicle: VehicleConfig, safety: Sa
             "scenario.detection_range_m",
             f"{scenario.detection_range_m:g} m is less than the {braking:.3g} m in which {speed:.3g} m/s is braked",
         )
+
+
+def check_layouts(scenario: ScenarioConfig) -> None:
+    layouts = scenario.layouts
+    if layouts is None:
+        return
+    if layouts.count < 1:
+        raise ConfigError("scenario.layouts.count", f"must be at least 1, got {layouts.count}")
+    if not 0 <= layouts.seed < 2**63:
+        raise ConfigError("scenario.layouts.seed", f"must lie in [0, 2^63), got {layouts.seed}")
+    if not layouts.kinds:
+        raise ConfigError("scenario.layouts.kinds", f"needs at least one of {', '.join(LAYOUT_KINDS)}")
+    for kind in layouts.kinds:
+        one_of(kind, "scenario.layouts.kinds", LAYOUT_KINDS)
+    positive(layouts.half_width_m, "scenario.layouts.half_width_m")
+    positive(layouts.current_mps, "scenario.layouts.current_mps", zero=True)
 
 
 def check_sensors(scenario: ScenarioConfig) -> None:

@@ -93,7 +93,7 @@ class BarrierGuard:
 
 
 def nearest_force(wanted: Tensor, normal: Tensor, least: Tensor, force_max: Tensor) -> Tensor:
-    """The force nearest to the wanted one with normal . force >= least and |force| <= force_max; else what violates least of those tried.
+    """The force nearest to the wanted one with normal . force >= least and |force| <= force_max.
 
     Args:
         wanted: [..., 2], N.
@@ -102,7 +102,7 @@ def nearest_force(wanted: Tensor, normal: Tensor, least: Tensor, force_max: Tens
         force_max: [2], N.
 
     Returns:
-        [..., 2], N, within the limits.
+        [..., 2], N, within the limits; where nothing is admissible, the one that violates least of those tried.
     """
     size = torch.linalg.vector_norm(normal, dim=-1).clamp_min(1e-12)
     # Where there is no constraint, one that always holds.

@@ -1,4 +1,4 @@
-"""Random draws of exploration: control added to the policy's, and the pose that a leg starts with."""
+"""Random draws of exploration: control added to the policy's, and the link that a leg is flown to."""
 
 from __future__ import annotations
 
@@ -8,9 +8,16 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from uwirl.motion.link_frame import LinkFrame
 from uwirl.world.random import RandomStreams, Stream
+from uwirl.world.relay import Relay
+from uwirl.world.scenario import Scenario
+from uwirl.world.vehicle import VehicleState
 
 FREQUENCIES = 6
+# Half width of the angle between a link in the arena and the way from its target to the vehicle, rad: missions, too,
+# come mostly along the link.
+ASKEW = 0.4
 
 
 @dataclass(frozen=True)
@@ -66,3 +73,36 @@ class PoseDraw:
         shrink = torch.cat([plane, plane, up, torch.ones_like(up)], -1)
         half = torch.tensor([self.along_m, self.across_m, self.up_m, self.yaw_rad], dtype=u.dtype, device=u.device)
         return (2.0 * u[:, :4] - 1.0) * half * shrink
+
+    def frame(self, env: Relay, state: VehicleState, step: int) -> LinkFrame:
+        """Links of [B, M] vehicles, wherever these poses put them, with the targets in the water."""
+        pose = self.draw(env.streams, state.eta.shape[1], step).to(state.eta.dtype)
+        return LinkFrame.seen_as(state, pose.view(state.eta.shape)).within(env.scenario.depth)
+
+
+@dataclass(frozen=True)
+class ArenaDraw(PoseDraw):
+    """Links that stand anywhere in the box of nodes, starts and obstacles, near ones about the vehicle."""
+
+    def frame(self, env: Relay, state: VehicleState, step: int) -> LinkFrame:
+        """Links of [B, M] vehicles, with the targets in the water."""
+        about = super().frame(env, state, step)
+        B, M = state.eta.shape[:-1]
+        # The first five of each vehicle are its pose's.
+        u = env.streams.uniform(Stream.INITIAL_STATE, step, 8 * M).to(state.eta.dtype)
+        near = u[:, : 5 * M].view(B, M, 5)[..., 4] < self.near_share
+        x, y, askew = u[:, 5 * M :].view(B, M, 3).unbind(-1)
+        low, high = _box(env.scenario)
+        place = low + (high - low) * torch.stack([x, y], -1)
+        away = state.position[..., :2] - place
+        bearing = torch.atan2(away[..., 1], away[..., 0]) + ASKEW * (2.0 * askew - 1.0)
+        target = torch.where(near[..., None], about.target, torch.cat([place, about.target[..., 2:]], -1))
+        return LinkFrame(target, torch.where(near, about.bearing, bearing))
+
+
+def _box(scenario: Scenario) -> tuple[Tensor, Tensor]:
+    """Horizontal corners of all that stands in the scenario, [2] each, m."""
+    obstacles = scenario.obstacles
+    nodes = (scenario.source, scenario.destination, scenario.start, obstacles.centre[obstacles.present])
+    places = torch.cat([node[..., :2].reshape(-1, 2) for node in nodes])
+    return places.amin(0), places.amax(0)

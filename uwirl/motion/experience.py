@@ -2,6 +2,7 @@
 
 A vehicle's problem depends on its pose relative to its link only, so a link may be placed anywhere: a flight towards a
 virtual link teaches as much as the mission itself, and one flown segment can be relabelled into other virtual frames.
+Where the basis sees ways among obstacles, which stand where they are, so do the virtual links, and none is relabelled.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from uwirl.irl.solvers import Experience
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.excitation import Excitation, PoseDraw
 from uwirl.motion.features import MotionBasis
-from uwirl.motion.link_frame import LinkFrame, relabel
-from uwirl.motion.policy import LinkFramePolicy
+from uwirl.motion.link_frame import relabel
+from uwirl.motion.policy import LinearPolicy
 from uwirl.motion.safety import Guard
 from uwirl.world.obstacles import contacts
 from uwirl.world.random import RandomStreams
@@ -71,16 +72,16 @@ class Recorder:
             contacts(env.scenario.clearance(trajectory.states.position, trajectory.time[:, None])).sum()
         )
 
-    def segment(self, xi: Tensor, tau: Tensor, afloat: Tensor, dt: float) -> Segment:
-        """Windows [S, ...] of xi [n + 1, ..., 8] under held tau [n, ..., 4].
+    def segment(self, x: Tensor, tau: Tensor, afloat: Tensor, dt: float) -> Segment:
+        """Windows [S, ...] of x [n + 1, ..., d] under held tau [n, ..., 4].
 
         Windows in which `afloat` [n + 1, ...] is false count for nothing: surface and floor push too.
         """
         segment = self.operator.segment(
-            self.basis.critic(xi),
-            self.basis.actor(xi),
+            self.basis.critic(x),
+            self.basis.actor(x),
             tau - self.trim,
-            self.cost.state(xi),
+            self.basis.state_cost(self.cost, x),
             dt,
             self.window.steps,
             self.window.stride,
@@ -118,20 +119,19 @@ class VirtualLinks:
         steps = round(self.leg_s / dt)
         leg = 0
         while True:
-            pose = self.pose.draw(env.streams, vehicles, leg * (1 + self.relabel))
-            flown, xi = _fly_leg(env, flown, pose, actor, recorder, self.excitation, guard, leg, steps)
+            draw = leg * (1 + self.relabel)
+            flown, x = _fly_leg(env, flown, self.pose, draw, actor, recorder, self.excitation, guard, leg, steps)
             tau, afloat = flown.tau.flatten(1, 2), _afloat(env, flown)
             weight = math.exp(-(leg + 1) * self.leg_s / self.relabel_time_s) if self.relabel else 0.0
             relabelled = None
             # Below a thousandth the relabelled windows no longer matter and are not made.
             if weight > 1e-3:
                 copies = [
-                    relabel(xi, self.pose.draw(env.streams, vehicles, leg * (1 + self.relabel) + k))
-                    for k in range(1, 1 + self.relabel)
+                    relabel(x, self.pose.draw(env.streams, vehicles, draw + k)) for k in range(1, 1 + self.relabel)
                 ]
                 segments = [recorder.segment(copy, tau, afloat, dt) for copy in copies]
                 relabelled = Segment(*(torch.cat(parts) for parts in zip(*segments, strict=True)))
-            yield Experience(recorder.segment(xi, tau, afloat, dt), relabelled, weight, self.leg_s)
+            yield Experience(recorder.segment(x, tau, afloat, dt), relabelled, weight, self.leg_s)
             leg += 1
 
 
@@ -164,9 +164,8 @@ class Parallel:
         flown = Trajectory(start, hover.tau[:0], dt, hover.first_step + len(hover.tau))
         leg = 0
         while True:
-            pose = self.pose.draw(streams, 1, leg)
-            flown, xi = _fly_leg(env, flown, pose, actor, recorder, self.excitation, guard, leg, steps)
-            windows = recorder.segment(xi, flown.tau.flatten(1, 2), _afloat(env, flown), dt)
+            flown, x = _fly_leg(env, flown, self.pose, leg, actor, recorder, self.excitation, guard, leg, steps)
+            windows = recorder.segment(x, flown.tau.flatten(1, 2), _afloat(env, flown), dt)
             pooled = Segment(*(part.flatten(0, 1).unsqueeze(1) for part in windows))
             yield Experience(pooled, None, 0.0, self.worlds * self.leg_s)
             leg += 1
@@ -175,7 +174,8 @@ class Parallel:
 def _fly_leg(
     env: Relay,
     before: Trajectory,
-    pose: Tensor,
+    pose: PoseDraw,
+    draw: int,
     actor: LinearActor,
     recorder: Recorder,
     excitation: Excitation,
@@ -183,17 +183,17 @@ def _fly_leg(
     leg: int,
     steps: int,
 ) -> tuple[Trajectory, Tensor]:
-    """One excited leg, after `before`, to the virtual link that puts the vehicle at a pose; also xi [n + 1, L, 8]."""
+    """One excited leg, after `before`, to the virtual links of a draw; also x [n + 1, L, d]."""
     state = before.last
     first_step = before.first_step + len(before.tau)
     B, M = state.components.shape[1:]
-    dtype = state.components.dtype
-    frame = LinkFrame.seen_as(state, pose.to(dtype).view(B, M, 4)).within(env.scenario.depth)
-    wave = excitation.draw(env.streams, M, leg, steps, env.scenario.dt).to(dtype).view(steps, B, M, 4)
-    policy = guard(env, LinkFramePolicy(frame, actor, recorder.trim, wave, first_step))
+    observer = recorder.basis.observer(env, pose.frame(env, state, draw))
+    wave = excitation.draw(env.streams, M, leg, steps, env.scenario.dt).to(state.components.dtype)
+    wave = wave.view(steps, B, M, 4)
+    policy = guard(env, LinearPolicy(observer, actor, recorder.trim, wave, first_step))
     trajectory = env.rollout(policy, state, steps, first_step)
     recorder.watch(env, trajectory)
-    return trajectory, frame.relative(trajectory.states).flatten(1, 2).double()
+    return trajectory, observer.along(trajectory).flatten(1, 2).double()
 
 
 def _afloat(env: Relay, trajectory: Trajectory) -> Tensor:

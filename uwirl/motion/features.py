@@ -1,4 +1,4 @@
-"""Bases of critic and actor in link-frame coordinates xi = [e_par, e_perp, e_z, psi~, u, v, w, r]."""
+"""Bases of critic and actor; those in link-frame coordinates xi = [e_par, e_perp, e_z, psi~, u, v, w, r]."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from uwirl.irl.networks import Basis
+from uwirl.irl.networks import Basis, LinearActor
 from uwirl.irl.solvers import Bounds
 from uwirl.motion.cost import RelayCost
+from uwirl.motion.link_frame import LinkFrame
+from uwirl.motion.policy import LinkObserver, Observer
+from uwirl.world.relay import Relay
 
 AXES = ("surge", "sway", "heave", "yaw")
 
@@ -32,8 +35,32 @@ class MotionBasis(Basis, Protocol):
         """
         ...
 
+    def observer(self, env: Relay, frame: LinkFrame) -> Observer:
+        """Sees the basis' state x of vehicles [B, M] on their flight to links [M] or [B, M]."""
+        ...
 
-class LinkFrameBasis:
+    def state_cost(self, cost: RelayCost, x: Tensor) -> Tensor:
+        """q, [..., L], of x [..., L, d]: the running cost less the control's, zero at rest where the flight ends."""
+        ...
+
+    def hovering(self, weights: Tensor) -> LinearActor:
+        """The policy of weights [L, n3] as it is beside the target, a function of xi."""
+        ...
+
+
+class LinkFrameFeatures:
+    """What bases have in common whose state x is xi."""
+
+    def observer(self, env: Relay, frame: LinkFrame) -> Observer:
+        """The link frames."""
+        return LinkObserver(frame)
+
+    def state_cost(self, cost: RelayCost, x: Tensor) -> Tensor:
+        """All of q that depends on xi alone."""
+        return cost.state(x)
+
+
+class LinkFrameBasis(LinkFrameFeatures):
     """Errors along and across the link through g_L(e) = e / sqrt(1 + e^2/L^2), which saturates at L.
 
     Args:
@@ -95,6 +122,9 @@ class LinkFrameBasis:
         """Whether L is the scale that governs the approach: the smallest, unless it is infinite."""
         return math.isfinite(L) and min(self.scales) == L
 
+    def hovering(self, weights: Tensor) -> LinearActor:
+        return LinearActor(self, weights)
+
     def start_weights(self) -> Tensor:
         """-10 on the smallest finite scale, -0.3 on the others, damping -20, -60 on v|u|; yaw -10 and -3.5."""
         pulls = [-10.0 if self._nearest(L) else -0.3 for L in self.scales]
@@ -116,7 +146,7 @@ class LinkFrameBasis:
         return Bounds(torch.tensor(lower, dtype=torch.float64), torch.tensor(upper, dtype=torch.float64))
 
 
-class ErrorBasis:
+class ErrorBasis(LinkFrameFeatures):
     """The paper's basis phi2 = e^2, phi3 = 2 e of the body-frame errors; with velocity, e nu, nu^2 and nu are added.
 
     Without velocity the critic has B' grad V = 0, so no force follows from it: kept to show that it fails.
@@ -151,6 +181,9 @@ class ErrorBasis:
         if not self.velocity:
             return 2.0 * error
         return torch.stack([2.0 * error, xi[..., 4:]], -1).flatten(-2)
+
+    def hovering(self, weights: Tensor) -> LinearActor:
+        return LinearActor(self, weights)
 
     def start_weights(self) -> Tensor:
         """A pull that stays within the thruster limits at 40 m; damping where the basis has velocity."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from uwirl.motion.route import Router, Ways
+from uwirl.motion.route import Router, Ways, link_cost
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.relay import Relay
 from uwirl.world.vehicle import VehicleState
@@ -47,16 +48,31 @@ class Pilot:
         self.step = step
 
     def direction(self, state: VehicleState) -> Tensor:
-        """Unit vectors along the ways, inertial, [B, M, 2]; zero at the goal."""
-        places = state.position[..., :2].double()
-        if self.shared:
-            return self.ways.map.descent_direction(places.transpose(0, 1)).transpose(0, 1)
-        return self.ways.map.descent_direction(places.reshape(-1, 1, 2)).view(places.shape)
+        """Unit vectors along the ways, inertial, [..., B, M, 2]; zero at the goal."""
+        return self._look_up(self.ways.map.descent_direction, state)
 
-    def avoidance(self, state: VehicleState, step: int) -> Tensor:
-        """The avoidance term of the cost at a state, [B, M]."""
-        position = state.position.reshape(-1, 1, 3)
-        return self.router.cost.obstacle(self.obstacles, position, step * self.scenario.dt).view(self.shape)
+    def potential(self, state: VehicleState) -> Tensor:
+        """Phi, what is left of the ways, [..., B, M]."""
+        return self._look_up(lambda places: self.ways.map.value_at(places)[..., None], state)[..., 0]
+
+    def avoidance(self, state: VehicleState, step: int | Tensor) -> Tensor:
+        """The avoidance term of the cost at states [..., B, M] and steps, a number or [...], [..., B, M]."""
+        position = state.position.reshape(-1, len(self.obstacles.radius), 1, 3)
+        time = step * self.scenario.dt
+        time = time.reshape(-1, 1) if isinstance(time, Tensor) else time
+        return self.router.cost.obstacle(self.obstacles, position, time).view(state.position.shape[:-1])
+
+    def excess(self, state: VehicleState, step: int | Tensor) -> Tensor:
+        """By how much a place costs more than the goal: link and avoidance, not below zero, [..., B, M]."""
+        position = state.position
+        link = link_cost(self.router.frame, self.router.cost, position.reshape(-1, self.router.targets, 3))
+        return (link.view(position.shape[:-1]) + self.avoidance(state, step) - self.rest_cost).clamp_min(0.0)
+
+    def _look_up(self, field: Callable[[Tensor], Tensor], state: VehicleState) -> Tensor:
+        """A field of the maps, from [K, Q, 2] to [K, Q, C], at the places of states [..., B, M], [..., B, M, C]."""
+        places = state.position[..., :2].double()
+        found = field(places.reshape(-1, len(self.ways.goal), 2).transpose(0, 1)).transpose(0, 1)
+        return found.reshape(*places.shape[:-1], found.shape[-1])
 
     @property
     def goal(self) -> Tensor:

@@ -124,7 +124,8 @@ class IrlPlanner(LearningPlanner):
         actor = LinearActor(self.basis, start.to(device))
         critic = LinearCritic(self.basis, self.learners).to(device)
         self.start_weights = actor.weight.clone()
-        hover, trim = calibration_hover(env, actor, cost, self.calibration_s, self.guard)
+        hovering = self.basis.hovering(actor.weight)
+        hover, trim = calibration_hover(env, hovering, cost, self.calibration_s, self.guard)
         if self.learners == 1:
             trim = trim.mean(0, keepdim=True)
         self.policy = LinkFramePolicy(targets.frame, actor, trim)

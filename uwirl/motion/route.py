@@ -3,11 +3,12 @@
     q(p) = E_L(p) - E_L,min + beta_2 E_O(p),   w = (q - q(goal) + 0.001)^0.75,   |grad Phi| = w
 
 With quadratic drag the best pace makes the cost of a metre grow as q^(2/3), with linear drag as q^(1/2); 0.75 was found
-best in clutter, where speed must be taken off before a turn. Closer to an obstacle than `HARD_CLEARANCE` w is large but
+best in clutter, where speed must be taken off before a turn. Closer to an obstacle than a hard clearance w is large but
 finite and falls outwards, so that the gradient leads out.
 
-The goal is the link's target, or, where an obstacle's influence reaches it, the place near it with the least q, which is
-paid for ever, that still has its capacity. Where no way leads there, it is the place of least q that can be reached, and the vehicle is `blocked`.
+The goal is the link's target, or, where an obstacle's influence reaches it, the place near it with the least q, which
+is paid for ever, that still has the capacity. Where no way leads there, it is the place of least q that can be reached,
+and the vehicle is `blocked`.
 """
 
 from __future__ import annotations
@@ -25,9 +26,7 @@ from uwirl.world.regions import separated
 from uwirl.world.scenario import Scenario
 from uwirl.world.vehicle import VehicleState
 
-EXPONENT = 0.75
 OFFSET = 0.001
-HARD_CLEARANCE = 0.25  # m
 BORDER = 8.0  # m, around everything that a map must hold
 # The goal is sought this far around the link's target, at this spacing, with this clearance, m,
 GOAL_REACH, GOAL_SPACING, GOAL_CLEARANCE = 5.0, 0.1, 0.5
@@ -69,6 +68,21 @@ class Ways:
         self.map.put(index, others.map)
 
 
+@dataclass(frozen=True)
+class MapSettings:
+    """How a place's cost becomes slowness.
+
+    Attributes:
+        spacing_m: h, m.
+        exponent: of q; 0 gives the shortest way.
+        hard_clearance_m: closer to an obstacle w is that of its inside, m.
+    """
+
+    spacing_m: float
+    exponent: float = 0.75
+    hard_clearance_m: float = 0.25
+
+
 class Router:
     """Plans ways, in float64, on one grid that holds everything.
 
@@ -76,13 +90,14 @@ class Router:
         scenario: nodes, starts and obstacles.
         frame: the targets', [M] or [B, M].
         cost: running cost on the estimated channel.
-        spacing_m: h, m.
         margin_m: clearance below which no way leads, m.
+        settings: of the map.
     """
 
-    def __init__(self, scenario: Scenario, frame: LinkFrame, cost: RelayCost, spacing_m: float, margin_m: float):
+    def __init__(self, scenario: Scenario, frame: LinkFrame, cost: RelayCost, margin_m: float, settings: MapSettings):
         self.radius = scenario.vehicle_radius
-        self.spacing = spacing_m
+        self.settings = settings
+        spacing_m = settings.spacing_m
         self.margin = margin_m
         self.loss = GOAL_LOSS if scenario.vehicles == 1 else GOAL_LOSS / 4.0
         # One row a target: all worlds share them, or each has its own.
@@ -127,11 +142,11 @@ class Router:
             free[free.clone()] = reachable
             goal[k, :2] = self.plane[torch.where(free, q[k], torch.inf).argmin()] if bool(free.any()) else position[k]
         rest_cost = self._cost_at(row, goal, obstacles)
-        w = ((q - rest_cost[:, None]).clamp_min(0.0) + OFFSET) ** EXPONENT
-        hard = clearance < HARD_CLEARANCE
+        w = ((q - rest_cost[:, None]).clamp_min(0.0) + OFFSET) ** self.settings.exponent
+        hard = clearance < self.settings.hard_clearance_m
         wall = 5.0 * torch.where(hard, 0.0, w).amax(-1, keepdim=True)
-        w = torch.where(hard, wall * (1.0 + 4.0 * (HARD_CLEARANCE - clearance)), w)
-        route = solve_eikonal(w.view(-1, *self.shape), self.origin, self.spacing, goal[:, :2])
+        w = torch.where(hard, wall * (1.0 + 4.0 * (self.settings.hard_clearance_m - clearance)), w)
+        route = solve_eikonal(w.view(-1, *self.shape), self.origin, self.settings.spacing_m, goal[:, :2])
         return Ways(goal, rest_cost, blocked, route)
 
     def _goal(self, row: Tensor, obstacles: Obstacles) -> Tensor:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 matplotlib.use("Agg")
 
@@ -18,6 +21,8 @@ from matplotlib.figure import Figure
 from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.features import AXES, MotionBasis
 from uwirl.study.evaluation import Evaluation
+from uwirl.world.layouts import KINDS
+from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario
 
 POSE_LABELS = ("x (m)", "y (m)", "z (m)", "psi (rad)")
@@ -63,6 +68,49 @@ def mission_figure(
     return figure
 
 
+def layouts_figure(env: Relay, evaluation: Evaluation, kind: Tensor) -> Figure:
+    """Missions in random layouts from above, four of each kind.
+
+    Args:
+        env: the worlds flown.
+        evaluation: theirs.
+        kind: of each world, index into KINDS.
+    """
+    kind = kind[: env.worlds]
+    kinds = kind.unique().tolist()
+    figure, grid = plt.subplots(
+        len(kinds), 4, figsize=(12.0, 3.0 * len(kinds)), layout="constrained", squeeze=False, sharex=True, sharey=True
+    )
+    for row, k in zip(grid, kinds, strict=True):
+        for axes, world in zip(row, (kind == k).nonzero()[:, 0].tolist(), strict=False):
+            scenario = env.scenario.worlds(torch.tensor([world]))
+            scenario = replace(scenario, obstacles=scenario.obstacles.each(lambda field: field[0]))
+            _path_top(axes, scenario, evaluation.trajectory.eta[:, world].numpy(force=True), arrows=False)
+            t99 = evaluation.time_to_99_percent(world)
+            fate = (
+                "blocked" if bool(evaluation.blocked[world].any()) else "not reached" if t99 is None else f"{t99:.0f} s"
+            )
+            axes.set(title=f"{KINDS[k]}: {fate}", xlim=(-40, 40), ylim=(-40, 40))
+            axes.label_outer()
+    return figure
+
+
+def gap_figure(gaps: Mapping[str, Tensor]) -> Figure:
+    """J above the optimiser's, in %: for each planner a point a layout, and the median."""
+    figure, axes = plt.subplots(figsize=(8.0, 0.7 * len(gaps) + 1.5), layout="constrained")
+    for row, gap in enumerate(gaps.values()):
+        spread = np.linspace(-0.25, 0.25, len(gap))
+        axes.plot(gap.clamp_min(0.1).numpy(force=True), row + spread, ".", color=f"C{row}", ms=5)
+        median = float(gap.median())
+        axes.plot([median, median], [row - 0.35, row + 0.35], "k", lw=2)
+        axes.annotate(f"{median:.1f} %", (median, row - 0.37), ha="center", va="bottom", fontsize=8)
+    axes.set_yticks(range(len(gaps)), list(gaps))
+    axes.set(xscale="log", xlabel="J above the trajectory optimiser's (%)")
+    axes.invert_yaxis()
+    axes.grid(alpha=0.3, axis="x", which="both")
+    return figure
+
+
 def save(figure: Figure, path: Path) -> None:
     """Write and close a figure."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -89,7 +137,7 @@ def _path_3d(axes: Axes, scenario: Scenario, eta: NDArray) -> None:
     axes.legend(fontsize=8)
 
 
-def _path_top(axes: Axes, scenario: Scenario, eta: NDArray) -> None:
+def _path_top(axes: Axes, scenario: Scenario, eta: NDArray, arrows: bool = True) -> None:
     source, destination = scenario.source.numpy(force=True), scenario.destination.numpy(force=True)
     axes.plot([source[0], destination[0]], [source[1], destination[1]], "k--", lw=0.8)
     axes.plot(*source[:2], "s", color="tab:green")
@@ -97,7 +145,7 @@ def _path_top(axes: Axes, scenario: Scenario, eta: NDArray) -> None:
     for i in range(eta.shape[1]):
         x, y, psi = eta[:, i, 0], eta[:, i, 1], eta[:, i, 3]
         axes.plot(x, y, color=f"C{i}")
-        some = np.linspace(0, len(x) // 2, 9).astype(int)
+        some = np.linspace(0, len(x) // 2, 9 if arrows else 0).astype(int)
         axes.quiver(x[some], y[some], np.cos(psi[some]), np.sin(psi[some]), width=0.006, scale=16, zorder=3)
         axes.plot(x[0], y[0], "o", color=f"C{i}", mfc="none")
         axes.plot(x[-1], y[-1], "o", color=f"C{i}")
@@ -111,8 +159,9 @@ def _path_top(axes: Axes, scenario: Scenario, eta: NDArray) -> None:
 def _cylinders(scenario: Scenario) -> list[tuple[tuple[float, float], float, float]]:
     """Centre at time 0, radius and influence radius of each obstacle, m."""
     obstacles = scenario.obstacles
-    centres = [(x, y) for x, y in obstacles.centre.tolist()]
-    return list(zip(centres, obstacles.radius.tolist(), obstacles.influence.tolist(), strict=True))
+    here = obstacles.present
+    centres = [(x, y) for x, y in obstacles.centre[here].tolist()]
+    return list(zip(centres, obstacles.radius[here].tolist(), obstacles.influence[here].tolist(), strict=True))
 
 
 def _capacities(axes: Axes, time: NDArray, evaluation: Evaluation) -> None:

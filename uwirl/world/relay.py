@@ -85,9 +85,13 @@ class Relay:
         start = self.scenario.start
         return VehicleState.from_eta_nu(start.expand(self.worlds, *start.shape[-2:]))
 
+    def on(self, scenario: Scenario, streams: RandomStreams) -> Relay:
+        """The same water and vehicles in other worlds."""
+        return Relay(scenario, self.vehicle, self.channel, streams)
+
     def select(self, index: Tensor) -> Relay:
         """The environment of some of the worlds, by their places [K] in the batch."""
-        return Relay(self.scenario.worlds(index), self.vehicle, self.channel, self.streams.select(index))
+        return self.on(self.scenario.worlds(index), self.streams.select(index))
 
     def rollout(
         self, policy: Callable[[VehicleState, int], Tensor], state: VehicleState, steps: int, first_step: int = 0

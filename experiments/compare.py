@@ -1,0 +1,174 @@
+"""How far planners stay above a trajectory optimiser that knows the dynamics, in J.
+
+    python experiments/compare.py
+
+The reference is the best of several IPOPT runs (seeded with the way on the map at two speeds, and with the first
+planner's own flight): a good trajectory, not a proven lower bound. The gap is J / J_reference - 1.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from learning_curve import STARTS
+from omegaconf import DictConfig
+from torch import Tensor
+
+from uwirl import build
+from uwirl.config.compose import compose
+from uwirl.config.schema import Config
+from uwirl.config.validate import validate
+from uwirl.motion.baselines.guesses import guess_from, guesses_on_the_map
+from uwirl.motion.baselines.trajectory_optimization import Plan, optimise
+from uwirl.motion.cost import RelayCost
+from uwirl.motion.planner import LearningPlanner, Planner
+from uwirl.motion.targets import ChainTargets, mean_channel_targets
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.snr.measurements import take_readings
+from uwirl.study import run_folder
+from uwirl.study.evaluation import Evaluation, evaluate
+from uwirl.world.layouts import KINDS, draw_layouts
+from uwirl.world.obstacles import contacts, no_obstacles
+from uwirl.world.random import RandomStreams
+from uwirl.world.relay import Relay
+
+log = logging.getLogger("uwirl")
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A planner that has finished learning."""
+
+    config: Config
+    planner: Planner
+    estimate: ChannelEstimate
+
+    @classmethod
+    def learn(cls, overrides: list[str]) -> Rival:
+        config = compose(overrides)
+        validate(config)
+        torch.set_num_threads(config.threads)
+        env = build.make_relay(config)
+        estimate = build.make_estimator(config)(take_readings(env), env.channel)
+        planner = build.make_planner(config, config.planner, env)
+        if isinstance(planner, LearningPlanner):
+            planner.fit(env, estimate)
+        return cls(config, planner, estimate)
+
+    def fly(self, worlds: Relay, cost: RelayCost, targets: ChainTargets) -> Evaluation:
+        policy = build.policy_in(worlds, self.config, self.planner, self.estimate)
+        return evaluate(worlds, policy, cost, targets, worlds.reset(), build.make_guard(self.config))
+
+
+def reference(
+    env: Relay, flown: Evaluation, world: int, cost: RelayCost, targets: ChainTargets, settings: DictConfig
+) -> Plan:
+    """The best trajectory found in one world."""
+    guesses = guesses_on_the_map(env, cost, targets, settings.speeds_mps, settings.intervals, world)
+    guesses.append(guess_from(flown.trajectory, world, settings.intervals))
+    return optimise(env, cost, targets, guesses, settings.intervals, world)
+
+
+def problems(settings: DictConfig, env: Relay, targets: ChainTargets) -> dict[str, tuple[Relay, list[str]]]:
+    """Batches of worlds, and the names of these: the configuration's own, twelve starts in free water, layouts."""
+    streams = RandomStreams.worlds(settings.seed, settings.layouts)
+    drawn = draw_layouts(streams, list(settings.kinds), targets.frame.target)
+    starts = STARTS[1:, None, :4]
+    free = replace(env.scenario, start=starts, obstacles=no_obstacles())
+    cluttered = replace(env.scenario, start=drawn.start, obstacles=drawn.obstacles)
+    numbered = [f"{KINDS[k]} {world}" for world, k in enumerate(drawn.kind.tolist())]
+    return {
+        "own": (env, ["own"]),
+        "free": (env.on(free, RandomStreams.worlds(settings.seed, len(starts))), [f"start {k}" for k in range(1, 13)]),
+        "layouts": (env.on(cluttered, streams), numbered),
+    }
+
+
+def compare(settings: DictConfig) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """metrics.json, and the gaps of all planners over the layouts that count, [layouts]."""
+    overrides = list(settings.overrides)
+    rivals = {name: Rival.learn(overrides + list(own)) for name, own in settings.planners.items()}
+    first = next(iter(rivals.values()))
+    env = build.make_relay(first.config)
+    targets = mean_channel_targets(env.scenario, env.channel)
+    cost = build.make_cost(first.config.cost, env.channel, targets, env.vehicle.tau_max)
+    metrics: dict[str, Any] = {"status": "complete", "experiment": "compare"}
+    gaps: dict[str, Tensor] = {}
+    for problem, (worlds, names) in problems(settings, env, targets).items():
+        flown = {name: rival.fly(worlds, cost, targets) for name, rival in rivals.items()}
+        plans = []
+        for world, name in enumerate(names):
+            plans.append(reference(worlds, next(iter(flown.values())), world, cost, targets, settings))
+            J = " ".join(f"{float(flight.cost[world]):8.3f}" for flight in flown.values())
+            log.info("%-16s %8.3f%s %s", name, plans[-1].cost, " " if plans[-1].converged else "*", J)
+        way = worlds.reset().position[..., :2] - targets.frame.target[:, :2]
+        far = torch.linalg.vector_norm(way, dim=-1).amin(-1) >= (settings.least_way_m if problem == "layouts" else 0.0)
+        counted = far & torch.tensor([plan.converged for plan in plans])
+        best = torch.tensor([plan.cost for plan in plans], dtype=torch.float64)
+        metrics |= {f"{problem}_converged": int(counted.sum()), f"{problem}_worlds": len(plans)}
+        if problem != "layouts":
+            metrics[f"{problem}_cost_reference"] = best.tolist()
+        for name, flight in flown.items():
+            gap = 100.0 * (flight.cost / best - 1.0)[counted]
+            metrics |= summary(f"{problem}_{name.replace(' ', '_').replace('-', '_')}", flight, gap)
+            if problem == "layouts":
+                gaps[name] = gap
+    return metrics, gaps
+
+
+def summary(key: str, flight: Evaluation, gap: Tensor) -> dict[str, Any]:
+    """A planner on a problem: its gap in %, who arrived, who touched."""
+    worlds = flight.cost.shape[0]
+    arrived = sum(flight.time_to_99_percent(world) is not None for world in range(worlds))
+    return {
+        f"{key}_cost_total": flight.cost.tolist() if worlds <= len(STARTS) else None,
+        f"{key}_gap_median_percent": float(gap.median()),
+        f"{key}_gap_max_percent": float(gap.max()),
+        f"{key}_reach_rate": arrived / worlds,
+        f"{key}_collisions": int(contacts(flight.clearance).sum()),
+    }
+
+
+def table(metrics: dict[str, Any], problem: str, planners: list[str]) -> None:
+    """Log a planner a line."""
+    log.info(
+        "%s: %d of %d references converged and count",
+        problem,
+        *(metrics[f"{problem}_{k}"] for k in ("converged", "worlds")),
+    )
+    log.info("  %-20s %10s %10s %8s %10s", "planner", "median (%)", "worst (%)", "reached", "collisions")
+    for name in planners:
+        key = f"{problem}_{name.replace(' ', '_').replace('-', '_')}"
+        columns = ("gap_median_percent", "gap_max_percent", "reach_rate", "collisions")
+        log.info("  %-20s %10.1f %10.1f %8.2f %10d", name, *(metrics[f"{key}_{column}"] for column in columns))
+
+
+def figure(gaps: dict[str, Tensor], path: Path) -> None:
+    """Gaps of all planners, a point a layout; needs matplotlib."""
+    from uwirl.study import figures
+
+    figures.save(figures.gap_figure(gaps), path)
+
+
+@hydra.main(version_base="1.3", config_path="conf", config_name="compare")
+def main(settings: DictConfig) -> None:
+    """Print the tables, write metrics.json and the figure."""
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    log.info("%-16s %8s  %s", "J", "optimum", " ".join(f"{name[:8]:>8}" for name in settings.planners))
+    with torch.no_grad():
+        metrics, gaps = compare(settings)
+    for problem in ("own", "free", "layouts"):
+        table(metrics, problem, list(settings.planners))
+    run_folder.write_metrics(folder, metrics)
+    figure(gaps, folder / "figures" / "gaps.png")
+    log.info("everything lies in %s", folder)
+
+
+if __name__ == "__main__":
+    main()

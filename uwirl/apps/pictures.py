@@ -1,0 +1,60 @@
+"""Figures and animations of a run, where matplotlib is installed and `logging` asks for them."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+from torch import Tensor
+
+from uwirl.config.schema import LoggingConfig
+from uwirl.irl.policy_iteration import IterationRecord
+from uwirl.motion.planner import LearningPlanner, Planner
+from uwirl.study.evaluation import Evaluation
+from uwirl.world.relay import Relay
+
+log = logging.getLogger("uwirl")
+
+
+def mission(
+    logging_config: LoggingConfig,
+    folder: Path,
+    env: Relay,
+    evaluation: Evaluation,
+    records: Sequence[IterationRecord],
+    planner: Planner,
+) -> None:
+    """figures/mission.png and, with logging.animation, mission.gif."""
+    if not _possible(logging_config):
+        return
+    from uwirl.study import animation, figures
+
+    basis = planner.basis if isinstance(planner, LearningPlanner) else None
+    path = folder / "figures" / "mission.png"
+    figures.save(figures.mission_figure(env.scenario, evaluation, records, basis), path)
+    log.info("figure: %s", path)
+    if logging_config.animation:
+        animation.save(env.scenario, evaluation, path.with_suffix(".gif"))
+        log.info("animation: %s", path.with_suffix(".gif"))
+
+
+def layouts(logging_config: LoggingConfig, folder: Path, env: Relay, evaluation: Evaluation, kind: Tensor) -> None:
+    """figures/layouts.png."""
+    if not _possible(logging_config):
+        return
+    from uwirl.study import figures
+
+    path = folder / "figures" / "layouts.png"
+    figures.save(figures.layouts_figure(env, evaluation, kind), path)
+    log.info("figure: %s", path)
+
+
+def _possible(logging_config: LoggingConfig) -> bool:
+    if not logging_config.figures:
+        return False
+    if importlib.util.find_spec("matplotlib") is None:
+        log.info("no figure: matplotlib is not installed (pip install 'uwirl[plot]')")
+        return False
+    return True

@@ -1,0 +1,116 @@
+"""Where trajectory optimisation starts from: flights along a way, or flown before."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwirl.motion.cost import RelayCost
+from uwirl.motion.pilot import Pilot
+from uwirl.motion.route import MapSettings, Router
+from uwirl.motion.targets import ChainTargets
+from uwirl.world.relay import Relay, Trajectory
+from uwirl.world.vehicle import Vehicle
+
+CORNER_S = 2.5  # over which a guess rounds the corners of its path
+
+
+class Guess(NamedTuple):
+    """Where the solver starts from: eta, nu and tau at the nodes, [N + 1, M, 4] each."""
+
+    name: str
+    eta: Tensor
+    nu: Tensor
+    tau: Tensor
+
+
+def guess_along(
+    env: Relay,
+    targets: ChainTargets,
+    paths: Sequence[Tensor],
+    speed: float = 0.8,
+    intervals: int = 200,
+    turn: bool = False,
+    world: int = 0,
+    name: str = "path",
+) -> Guess:
+    """A flight along horizontal paths at constant speed, with rounded corners; the depth changes in proportion.
+
+    Args:
+        env: start, duration and vehicle.
+        targets: the depths to end at.
+        paths: a polyline [K, 2] for each vehicle, m.
+        speed: m/s.
+        intervals: N.
+        turn: turn bow or stern, whichever is nearer, into the way; otherwise keep the first heading.
+        world: of a batch.
+        name: of the guess.
+    """
+    start = of_world(env.scenario.start, 2, world)
+    depth = of_world(targets.frame.target, 2, world)[:, 2]
+    h = env.scenario.duration / intervals
+    travelled = speed * h * torch.arange(intervals + 1, dtype=start.dtype, device=start.device)
+    flights = zip(paths, start, depth, strict=True)
+    eta = torch.stack([_fly(path.to(start), pose, z, travelled, CORNER_S / h, turn) for path, pose, z in flights], 1)
+    velocity = torch.gradient(eta, spacing=h, dim=0)[0]
+    nu = (Vehicle.rotation_matrix(eta[..., 3]).mT @ velocity[..., None])[..., 0]
+    tau = (env.vehicle.damping_matrix(nu) @ nu[..., None])[..., 0] + env.vehicle.trim
+    return Guess(name, eta, nu, env.vehicle.saturate(tau))
+
+
+def _fly(path: Tensor, start: Tensor, depth: Tensor, travelled: Tensor, corner: float, turn: bool) -> Tensor:
+    """eta [N + 1, 4] of a vehicle that has come so far [N + 1] along its path [K, 2]; corner in nodes."""
+    legs = path.diff(dim=0)
+    arc = torch.nn.functional.pad(torch.linalg.vector_norm(legs, dim=-1).cumsum(0), (1, 0))
+    z = torch.lerp(start[2], depth, (travelled / arc[-1].clamp_min(1e-9)).clamp_max(1.0))
+    psi = start[3].expand_as(z)
+    if turn:
+        bearing = torch.cat([start[3:], torch.atan2(legs[:, 1], legs[:, 0])])
+        turns = torch.remainder(bearing.diff() + math.pi / 2.0, math.pi) - math.pi / 2.0
+        psi = (start[3] + turns.cumsum(0))[torch.searchsorted(arc, travelled).clamp(1, len(legs)) - 1]
+    eta = torch.cat([interpolate(travelled, arc, path), z[:, None], psi[:, None]], -1)
+    half = round(corner / 2.0)
+    eta = torch.cat([eta[:1].expand(half, 4), eta, eta[-1:].expand(half, 4)]).unfold(0, 2 * half + 1, 1).mean(-1)
+    return torch.cat([start[None], eta[1:]])
+
+
+def guess_from(trajectory: Trajectory, world: int = 0, intervals: int = 200, name: str = "flight") -> Guess:
+    """A flown mission, resampled at the nodes."""
+    steps = trajectory.tau.shape[0]
+    at = torch.linspace(0.0, steps, intervals + 1, dtype=torch.float64, device=trajectory.tau.device)
+    x = interpolate(at, torch.arange(steps + 1).to(at), trajectory.components[..., world, :].double()).mT
+    return Guess(name, x[..., :4], x[..., 4:], trajectory.tau[at.long().clamp_max(steps - 1), world].double())
+
+
+def guesses_on_the_map(
+    env: Relay, cost: RelayCost, targets: ChainTargets, speeds: Sequence[float], intervals: int, world: int = 0
+) -> list[Guess]:
+    """Flights along the eikonal map at several speeds, m/s, bow or stern ahead and with the first heading kept."""
+    one = env.select(torch.tensor([world], device=env.streams.seed.device))
+    pilot = Pilot(one, Router(one.scenario, targets.frame, cost, 0.0, MapSettings(spacing_m=0.5)))
+    state = one.reset()
+    pilot.update(state, 0)
+    paths = [pilot.ways.map.path(state.position[:, m : m + 1, :2].double())[m, 0] for m in range(one.scenario.vehicles)]
+    return [
+        guess_along(one, targets, paths, speed, intervals, turn, name=f"map, {speed:g} m/s{', turned' if turn else ''}")
+        for speed in speeds
+        for turn in (False, True)
+    ]
+
+
+def of_world(values: Tensor, dims: int, world: int) -> Tensor:
+    """The values of one world, [...] with `dims` dimensions, of those of all or of each [B, ...]; float64."""
+    while values.ndim > dims:
+        values = values[world if len(values) > 1 else 0]
+    return values.double()
+
+
+def interpolate(at: Tensor, knots: Tensor, values: Tensor) -> Tensor:
+    """Values [K, ...] at rising knots [K], linear between them and held beyond; [n, ...] at [n]."""
+    right = torch.searchsorted(knots, at).clamp(1, len(knots) - 1)
+    share = ((at - knots[right - 1]) / (knots[right] - knots[right - 1]).clamp_min(1e-12)).clamp(0.0, 1.0)
+    return torch.lerp(values[right - 1], values[right], share.view(-1, *[1] * (values.ndim - 1)))

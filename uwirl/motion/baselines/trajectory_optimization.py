@@ -1,0 +1,184 @@
+"""Trajectory optimisation with a model: a reference for J, without a claim to be its lower bound.
+
+Direct collocation by the implicit trapezoid on N intervals of h seconds (Betts, Practical Methods for Optimal Control
+and Estimation Using Nonlinear Programming, 2010, ch. 4), solved by an interior-point method:
+
+    minimise    sum_i sum_k w_k h [s_ik + beta_2 E_O + yaw_weight (1 - cos psi~) + sum_a R_a (tau_a - tau_trim,a)^2]
+    subject to  x_k+1 - x_k = h/2 (f(x_k, tau_k) + f(x_k+1, tau_k+1)),   x_0 = start, at rest,   |tau| <= tau_max
+                s_ik >= beta_1/C^2 - beta_1/C_max^2 on both links,   l >= rho_m + r_v,   |p_i - p_j| >= separation
+                -depth <= z <= 0
+
+with w = 1/2, 1, ..., 1, 1/2. Neighbours are at their targets, so that vehicles meet in the separation alone, which
+holds between the nodes as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwirl.motion.baselines.collocation import Collocation
+from uwirl.motion.baselines.guesses import Guess, interpolate
+from uwirl.motion.cost import RelayCost
+from uwirl.motion.planner import CostFactory
+from uwirl.motion.policy import Policy
+from uwirl.motion.targets import ChainTargets, mean_channel_targets
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.world.relay import Relay
+from uwirl.world.vehicle import Vehicle, VehicleState
+
+IPOPT = {"print_level": 0, "sb": "yes", "mu_strategy": "adaptive", "tol": 1e-6, "acceptable_tol": 1e-4}
+FEASIBLE = 1e-4  # largest violation with which a plan counts as converged although the solver stopped early
+# Surge, sway, heave in N/m and N s/m, yaw in N m and N m s/rad. At full thrust the Munk moment (m_v - m_u) u v turns
+# the bow out of the way with up to 30 N m/rad, which yaw has to exceed.
+POSITION_GAIN = (40.0, 40.0, 40.0, 40.0)
+VELOCITY_GAIN = (40.0, 40.0, 40.0, 4.0)
+
+
+class Attempt(NamedTuple):
+    """What the solver made of a guess: J, and the largest violation of a constraint."""
+
+    name: str
+    converged: bool
+    cost: float
+    infeasibility: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The best of all attempts that converged; the least infeasible one where none did.
+
+    Attributes:
+        eta, nu, tau: at the nodes, [N + 1, M, 4], float64.
+        cost: J by the trapezoid over the nodes.
+        converged: False if no attempt did.
+        guess: name of the guess that led here.
+        attempts: one for each guess.
+    """
+
+    eta: Tensor
+    nu: Tensor
+    tau: Tensor
+    cost: float
+    converged: bool
+    guess: str
+    attempts: tuple[Attempt, ...]
+
+
+def optimise(
+    env: Relay,
+    cost: RelayCost,
+    targets: ChainTargets,
+    guesses: Sequence[Guess],
+    intervals: int = 200,
+    world: int = 0,
+    separation_m: float = 1.0,
+    max_iterations: int = 250,
+) -> Plan:
+    """Minimise J over a mission of one world's vehicles, from each guess in turn.
+
+    Args:
+        env: start, obstacles, duration and the model of the vehicles; the model's water is still.
+        cost: the running cost, on the channel to count on.
+        targets: what the cost refers to.
+        guesses: at least one, on N + 1 nodes.
+        intervals: N.
+        world: of a batch.
+        separation_m: between the centres of any two vehicles, m.
+        max_iterations: of the solver, for each guess.
+
+    Returns:
+        The plan, which says whether it converged: nothing is raised where it did not.
+
+    Raises:
+        ImportError: CasADi is not installed.
+        ValueError: there is no guess, or one of another size, or the cost's avoidance term is unknown here.
+    """
+    if not guesses:
+        raise ValueError("guesses: trajectory optimisation needs at least one")
+    ca = _casadi()
+    problem = Collocation(ca, env, cost, targets, intervals, world, separation_m)
+    ipopt = IPOPT | {"max_iter": max_iterations}
+    solver = ca.nlpsol("plan", "ipopt", problem.programme, {"print_time": False, "ipopt": ipopt})
+    attempts, solutions = [], []
+    for guess in guesses:
+        found = solver(x0=problem.initial(guess), **problem.bounds)
+        infeasibility = float(ca.mmax(ca.fmax(-found["g"], found["g"] - problem.bounds["ubg"])))
+        converged = solver.stats()["success"] or infeasibility < FEASIBLE
+        attempts.append(Attempt(guess.name, converged, float(found["f"]), infeasibility))
+        solutions.append(found["x"])
+    best = min(attempts, key=lambda end: (not end.converged, end.cost if end.converged else end.infeasibility))
+    eta, nu, tau = problem.nodes(solutions[attempts.index(best)])
+    return Plan(eta, nu, tau, best.cost, best.converged, best.name, tuple(attempts))
+
+
+def _casadi() -> Any:
+    try:
+        return import_module("casadi")
+    except ImportError as error:
+        raise ImportError("trajectory optimisation needs CasADi: pip install 'uwirl[solvers]'") from error
+
+
+class PlanPolicy:
+    """tau = tau*(t) - K_p e - K_d (nu - nu*(t)), e the pose error eta - eta*(t) in body axes.
+
+    The plan is linear between its nodes; after its end its last pose is held.
+
+    Args:
+        env: the mission that the plan spans.
+        plan: eta*, nu*, tau*.
+        position_gain, velocity_gain: diagonals of K_p and K_d, [4].
+    """
+
+    def __init__(
+        self,
+        env: Relay,
+        plan: Plan,
+        position_gain: Sequence[float] = POSITION_GAIN,
+        velocity_gain: Sequence[float] = VELOCITY_GAIN,
+    ):
+        like, steps = env.vehicle.tau_max, env.scenario.steps
+        at = torch.arange(steps + 1, dtype=torch.float64)
+        nodes = torch.linspace(0.0, steps, len(plan.eta), dtype=torch.float64)
+        self.eta, self.nu, self.tau = (interpolate(at, nodes, part).to(like) for part in (plan.eta, plan.nu, plan.tau))
+        self.nu[-1], self.tau[-1] = 0.0, env.vehicle.trim
+        self.position_gain, self.velocity_gain = like.new_tensor(position_gain), like.new_tensor(velocity_gain)
+
+    def __call__(self, state: VehicleState, step: int) -> Tensor:
+        step = min(step, len(self.eta) - 1)
+        error = state.eta - self.eta[step]
+        error[..., 3] = torch.remainder(error[..., 3] + math.pi, 2.0 * math.pi) - math.pi
+        body = (Vehicle.rotation_matrix(state.eta[..., 3]).mT @ error[..., None])[..., 0]
+        return self.tau[step] - self.position_gain * body - self.velocity_gain * (state.nu - self.nu[step])
+
+
+@dataclass
+class TrajectoryOptimization:
+    """Plans once, with the model, and plays the plan; a batch flies what its first world was planned for.
+
+    Attributes:
+        make_cost: the running cost on the estimated channel.
+        make_guesses: where the solver starts from.
+        intervals: N.
+        position_gain, velocity_gain: see PlanPolicy.
+        plan: what `fit` found.
+    """
+
+    make_cost: CostFactory
+    make_guesses: Callable[[Relay, RelayCost, ChainTargets], Sequence[Guess]]
+    intervals: int = 200
+    position_gain: Sequence[float] = POSITION_GAIN
+    velocity_gain: Sequence[float] = VELOCITY_GAIN
+    plan: Plan = field(init=False)
+
+    def fit(self, env: Relay, estimate: ChannelEstimate) -> Policy:
+        targets = mean_channel_targets(env.scenario, estimate.channel)
+        cost = self.make_cost(estimate.channel, targets)
+        self.plan = optimise(env, cost, targets, self.make_guesses(env, cost, targets), self.intervals)
+        return PlanPolicy(env, self.plan, self.position_gain, self.velocity_gain)

@@ -1,0 +1,189 @@
+"""A policy in many random layouts: who arrived, who touched what, and how sure one can be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from uwirl.motion.cost import RelayCost
+from uwirl.motion.policy import Policy
+from uwirl.motion.safety import Guard
+from uwirl.motion.targets import ChainTargets
+from uwirl.study.evaluation import Evaluation, evaluate
+from uwirl.world.layouts import KINDS, Layouts
+from uwirl.world.obstacles import contacts
+from uwirl.world.relay import Relay
+
+# A layout whose feasibility changes with this much more or less room is left out of counts, m.
+AMBIGUITY = 0.05
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """What became of N worlds.
+
+    Attributes:
+        kind: index into KINDS, [N].
+        feasible: whether every vehicle's way is open, [N].
+        ambiguous: whether that hangs on a few centimetres, [N].
+        collisions: contact intervals, [N].
+        clearance: the smallest, [N], m.
+        separation: the smallest between vehicles, [N], m; infinite for a single one.
+        t99: [N], s; infinite if 99 % were not kept.
+        blocked: whether some vehicle found no way at the end, [N].
+        cost: J, [N].
+    """
+
+    kind: Tensor
+    feasible: Tensor
+    ambiguous: Tensor
+    collisions: Tensor
+    clearance: Tensor
+    separation: Tensor
+    t99: Tensor
+    blocked: Tensor
+    cost: Tensor
+
+    @property
+    def counted(self) -> Tensor:
+        """[N]."""
+        return self.feasible & ~self.ambiguous
+
+    @property
+    def reached(self) -> Tensor:
+        """[N]."""
+        return self.t99.isfinite()
+
+    def of(self, rows: Tensor) -> Outcomes:
+        """Those of some worlds, by a mask or numbers."""
+        return Outcomes(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def metrics(self) -> dict[str, Any]:
+        """Entries of metrics.json."""
+        counted, closed = self.of(self.counted), self.of(~self.feasible & ~self.ambiguous)
+        n, missed = len(counted.kind), int((~counted.reached).sum())
+        kinds = {f"reach_rate_{KINDS[k]}": _share(counted.of(counted.kind == k).reached) for k in self._kinds()}
+        return {
+            "worlds": len(self.kind),
+            "worlds_feasible": n,
+            "worlds_infeasible": len(closed.kind),
+            "worlds_ambiguous": int(self.ambiguous.sum()),
+            "reach_rate": _share(counted.reached),
+            "miss_rate_upper_95": upper_bound(missed, n),
+            **kinds,
+            "collisions": int(self.collisions.sum()),
+            "worlds_with_collision": int((self.collisions > 0).sum()),
+            "collision_rate_upper_95": upper_bound(int((self.collisions > 0).sum()), len(self.kind)),
+            "min_obstacle_clearance_m": float(self.clearance.min()),
+            "min_vehicle_separation_m": _finite(float(self.separation.min())),
+            "blocked": int(self.blocked.sum()),
+            "blocked_where_infeasible": int(closed.blocked.sum()),
+            "blocked_where_feasible": int(counted.blocked.sum()),
+            "time_to_99_percent_median_s": _finite(float(counted.t99.median())) if n else None,
+            "time_to_99_percent_max_s": _finite(float(counted.t99.max())) if n else None,
+            "cost_total_median": float(counted.cost.median()) if n else None,
+        }
+
+    def table(self) -> Iterator[str]:
+        """Lines of a table by kind."""
+        yield (
+            f"{'kind':<12} {'worlds':>6} {'feasible':>8} {'reached':>8} {'missed <':>9} {'contacts':>8} {'hit <':>7} "
+            f"{'blocked':>8} {'t99 med':>8} {'max (s)':>8} {'clear (m)':>9} {'J med':>7}"
+        )
+        groups = [(KINDS[k], self.of(self.kind == k)) for k in self._kinds()]
+        for name, rows in [*groups, ("all", self)]:
+            counted = rows.of(rows.counted)
+            n, t99 = len(counted.kind), counted.t99 if len(counted.kind) else torch.tensor([math.nan])
+            cost = counted.cost if n else torch.tensor([math.nan])
+            missed = upper_bound(int((~counted.reached).sum()), n)
+            hit = upper_bound(int((rows.collisions > 0).sum()), len(rows.kind))
+            yield (
+                f"{name:<12} {len(rows.kind):>6} {n:>8} {int(counted.reached.sum()):>8} {missed:>9.2%} "
+                f"{int(rows.collisions.sum()):>8} {hit:>7.2%} {int(rows.blocked.sum()):>8} {float(t99.median()):>8.1f} "
+                f"{float(t99.max()):>8.1f} {float(rows.clearance.min()):>9.3f} {float(cost.median()):>7.3f}"
+            )
+
+    def _kinds(self) -> list[int]:
+        return self.kind.unique().tolist()
+
+
+def fly(
+    env: Relay,
+    layouts: Layouts,
+    policy_in: Callable[[Relay], Policy],
+    cost: RelayCost,
+    targets: ChainTargets,
+    guard: Guard,
+    batch: int,
+    watch: Callable[[Relay, Evaluation], None] = lambda env, evaluation: None,
+) -> Outcomes:
+    """One mission in each layout.
+
+    Args:
+        env: with the layouts' random streams; its scenario is what they have in common.
+        layouts: N.
+        policy_in: the policy for some of the worlds.
+        cost, targets: on the true channel.
+        guard: between policy and thrusters.
+        batch: worlds flown together.
+        watch: told of every batch as soon as it is flown.
+    """
+    common = replace(env.scenario, start=layouts.start, obstacles=layouts.obstacles)
+    everywhere = Relay(common, env.vehicle, env.channel, env.streams)
+    parts = []
+    for rows in torch.arange(len(layouts.kind), device=layouts.kind.device).split(batch):
+        worlds = everywhere.select(rows)
+        evaluation = evaluate(worlds, policy_in(worlds), cost, targets, worlds.reset(), guard)
+        watch(worlds, evaluation)
+        t99 = [evaluation.time_to_99_percent(k) for k in range(len(rows))]
+        separation = [evaluation.separation(k) for k in range(len(rows))]
+        parts.append(
+            {
+                "collisions": contacts(evaluation.clearance).sum(-1),
+                "clearance": evaluation.clearance.amin((0, 2)),
+                "separation": torch.tensor([math.inf if s is None else s for s in separation]),
+                "t99": torch.tensor([math.inf if t is None else t for t in t99]),
+                "blocked": evaluation.blocked.any(-1),
+                "cost": evaluation.cost,
+            }
+        )
+    room = env.scenario.vehicle_radius + getattr(guard, "margin_m", 0.0)
+    verdicts = [layouts.feasible(targets.frame.target, room + d) for d in (0.0, AMBIGUITY, -AMBIGUITY)]
+    joined = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
+    return Outcomes(layouts.kind, verdicts[0], verdicts[1] != verdicts[2], **joined)
+
+
+def upper_bound(failures: int, trials: int) -> float:
+    """Clopper-Pearson: the rate at which so few failures or fewer would be seen in 5 % of cases; nan of no trials."""
+    if trials == 0:
+        return math.nan
+    if failures == trials:
+        return 1.0
+
+    def at_most(p: float) -> float:
+        return sum(
+            math.exp(math.lgamma(trials + 1) - math.lgamma(k + 1) - math.lgamma(trials - k + 1))
+            * p**k
+            * (1.0 - p) ** (trials - k)
+            for k in range(failures + 1)
+        )
+
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if at_most(middle) > 1.0 - CONFIDENCE else (low, middle)
+    return high
+
+
+def _share(flags: Tensor) -> float | None:
+    return float(flags.double().mean()) if len(flags) else None
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
