@@ -9,6 +9,7 @@ planner's own flight): a good trajectory, not a proven lower bound. The gap is J
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,9 @@ class Rival:
         return cls(config, planner, estimate)
 
     def fly(self, worlds: Relay, cost: RelayCost, targets: ChainTargets) -> Evaluation:
+        """Its missions, with its own detection range."""
+        seen = replace(worlds.scenario, detection_range=self.config.scenario.detection_range_m)
+        worlds = worlds.on(seen, worlds.streams)
         policy = build.policy_in(worlds, self.config, self.planner, self.estimate)
         return evaluate(worlds, policy, cost, targets, worlds.reset(), build.make_guard(self.config))
 
@@ -116,10 +120,15 @@ def compare(settings: DictConfig) -> tuple[dict[str, Any], dict[str, Tensor]]:
             metrics[f"{problem}_cost_reference"] = best.tolist()
         for name, flight in flown.items():
             gap = 100.0 * (flight.cost / best - 1.0)[counted]
-            metrics |= summary(f"{problem}_{name.replace(' ', '_').replace('-', '_')}", flight, gap)
+            metrics |= summary(f"{problem}_{slug(name)}", flight, gap)
             if problem == "layouts":
                 gaps[name] = gap
     return metrics, gaps
+
+
+def slug(name: str) -> str:
+    """A planner's name as part of a key."""
+    return re.sub(r"\W+", "_", name)
 
 
 def summary(key: str, flight: Evaluation, gap: Tensor) -> dict[str, Any]:
@@ -144,7 +153,7 @@ def table(metrics: dict[str, Any], problem: str, planners: list[str]) -> None:
     )
     log.info("  %-20s %10s %10s %8s %10s", "planner", "median (%)", "worst (%)", "reached", "collisions")
     for name in planners:
-        key = f"{problem}_{name.replace(' ', '_').replace('-', '_')}"
+        key = f"{problem}_{slug(name)}"
         columns = ("gap_median_percent", "gap_max_percent", "reach_rate", "collisions")
         log.info("  %-20s %10.1f %10.1f %8.2f %10d", name, *(metrics[f"{key}_{column}"] for column in columns))
 

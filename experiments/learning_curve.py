@@ -63,7 +63,7 @@ def learning_curve(seeds: int, times_s: list[float], overrides: list[str]) -> di
         `starts`: gap over the twelve starts, one list of percentages (a seed each) for each time; `paper`: likewise for
         the paper's start alone.
     """
-    config = compose(overrides)
+    config = compose(["experiment=fig5_free", *overrides])
     validate(config)
     torch.set_num_threads(config.threads)
     env = build.make_relay(config, RandomStreams.replicates(range(seeds), config.device))

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from uwirl import build
 from uwirl.world.acoustics import Channel
+from uwirl.world.current import Current
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import DivergedError, Relay
 from uwirl.world.scenario import spread_sensors
@@ -168,3 +169,54 @@ def test_sensors_fill_their_box():
 def test_more_sensors_begin_with_the_same():
     few, many = (spread_sensors(count, 0, SOURCE, DESTINATION, torch.float64) for count in (5, 40))
     assert torch.equal(many[:5], few)
+
+
+def test_a_current_carries_the_still_water_flight_along(env: Relay):
+    """Galileo: in a current c the flight is that in still water plus c t, however the vehicle turns."""
+    c = tensor([0.2, -0.3, 0.05])
+    tau = 20.0 * torch.randn(100, WORLDS, 2, 4, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    tau[..., 3] /= 10.0
+    still = env.rollout(lambda _, k: tau[k], env.reset(), 100)
+    drifting = env.on(replace(env.scenario, current=Current(c, 0.0, 60.0)), env.streams)
+    psi = env.reset().eta[..., 3]
+    cos, sin = torch.cos(psi), torch.sin(psi)
+    along = torch.stack([cos * c[0] + sin * c[1], cos * c[1] - sin * c[0], c[2].expand_as(psi), 0.0 * psi], -1)
+    start = VehicleState.from_eta_nu(env.reset().eta, along)
+    carried = drifting.rollout(lambda _, k: tau[k], start, 100)
+    expected = still.eta[..., :3] + c * still.time[:, None, None, None]
+    torch.testing.assert_close(carried.eta[..., :3], expected, rtol=0, atol=1e-9)
+    torch.testing.assert_close(carried.eta[..., 3], still.eta[..., 3], rtol=0, atol=1e-9)
+
+
+def test_surface_and_floor_stop_the_centre(env: Relay):
+    """Full heave up, then down: 20 m of water."""
+    up = env.rollout(lambda *_: tensor([0.0, 0.0, 120.0, 0.0]).expand(WORLDS, 2, 4), env.reset(), 300)
+    assert float(up.eta[..., 2].max()) == 0.0
+    assert (up.nu[-1, ..., 2] == 0.0).all()
+    down = env.rollout(lambda *_: tensor([0.0, 0.0, -120.0, 0.0]).expand(WORLDS, 2, 4), up.last, 600)
+    assert float(down.eta[..., 2].min()) == -20.0
+    assert float(down.eta[1, ..., 2].max()) < 0.0
+
+
+def test_a_flight_goes_on_where_the_last_one_ended(env: Relay):
+    """Two flights one after the other are one flight: time goes on with the steps."""
+    gusty = env.on(replace(env.scenario, current=Current(tensor([0.1, 0.0, 0.0]), 0.1, 5.0)), env.streams)
+    policy = excited_policy(env)
+    whole = gusty.rollout(policy, env.reset(), 40)
+    first = gusty.rollout(policy, env.reset(), 25)
+    second = gusty.rollout(policy, first.last, 15, first_step=25)
+    assert torch.equal(torch.cat([first.components, second.components[1:]]), whole.components)
+    assert torch.equal(second.time, whole.time[25:])
+
+
+def test_worlds_of_a_batch_can_be_taken_out(env: Relay):
+    """Starts, obstacles and currents of their own, and their random numbers."""
+    start = tensor(START) + torch.arange(WORLDS, dtype=torch.float64)[:, None, None]
+    mean = 0.1 * torch.arange(3 * WORLDS, dtype=torch.float64).view(WORLDS, 3)
+    scenario = replace(env.scenario, start=start, current=Current(0.1 * mean, 0.05, 10.0))
+    batch = env.on(scenario, env.streams)
+    policy = lambda state, step: 10.0 - state.nu  # noqa: E731
+    whole = batch.rollout(policy, batch.reset(), 20)
+    picked = batch.select(torch.tensor([3, 1]))
+    part = picked.rollout(policy, picked.reset(), 20)
+    torch.testing.assert_close(part.components, whole.components[..., [3, 1], :], rtol=0, atol=1e-12)

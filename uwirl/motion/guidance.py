@@ -33,16 +33,18 @@ PACE_FLOOR = 0.004
 KEEP_RIGHT = 6.0
 # Speed above which the Munk moment decides the heading, m/s; largest heading error that is answered, rad.
 HEADING_SPEED, HEADING_CLIP = 0.6, 0.15
+# What turning by an angle counts against holding a heading that is off the link's by as much.
+TURNING = 0.5
 # A drive F aims at the speed sqrt(F / PACE_DRAG), roughly, N s^2/m^2.
 PACE_DRAG = 20.0
 # Share of the depth that is left against share of the way that is left, as its power; force for a vertical velocity
 # that is off that path, N s/m.
 GLIDE, GLIDE_DAMPING = 1.3, 20.0
 # Against a current: progress that a force is integrated for, m/s; its rate in N/m, and how it fades, 1/s; within which
-# distance of the goal, m, its error is integrated instead, N/s, where the vehicle is stalled rather than on its way,
-# m/s; the largest force, N.
+# distance of the goal, m, its error is integrated instead, N/s, as far as it exceeds what is close enough, m, and where
+# the vehicle is stalled rather than on its way, m/s; the largest force, N.
 PROGRESS, PROGRESS_RATE, FORGETTING = 0.35, 8.0, 0.02
-INTEGRAL_WITHIN, GOAL_RATE, STILL = 2.0, 2.4, 0.05
+INTEGRAL_WITHIN, GOAL_RATE, CLOSE, STILL = 2.0, 2.4, 0.05, 0.05
 PUSH = 40.0
 
 
@@ -135,10 +137,12 @@ class AgainstCurrent:
         velocity = torch.stack([c * u - s * v, s * u + c * v], -1)
         error = state.position[..., :2] - goal[..., :2]
         slow = ((velocity * way).sum(-1) < PROGRESS)[..., None]
-        on_way = PROGRESS_RATE * slow * (PROGRESS * way - velocity) - FORGETTING * self.push
+        on_way = PROGRESS_RATE * slow * (PROGRESS * way - velocity)
         still = 1.0 + velocity.square().sum(-1, keepdim=True) / STILL**2
-        at_goal = -GOAL_RATE * error / (1.0 + distance[..., None]) / still
+        beyond = (1.0 - CLOSE / distance.clamp_min(CLOSE))[..., None]
+        at_goal = -GOAL_RATE * beyond * error / (1.0 + distance[..., None]) / still
         rate = torch.where((distance > INTEGRAL_WITHIN)[..., None], on_way, at_goal)
+        rate = rate - FORGETTING * self.push
         self.push = (self.push + self.pilot.scenario.dt * rate).clamp(-PUSH, PUSH)
         x, y = self.push.unbind(-1)
         return torch.stack([c * x + s * y, c * y - s * x], -1)
@@ -149,8 +153,9 @@ def heading_error(way: Tensor, state: VehicleState, bearing: Tensor, drive: Tens
 
     The cost asks for the link's bearing; at speed V the Munk moment, which the yaw thruster pays for, asks for the bow,
     the stern or a side along the way: it is (m_v - m_u) V^2 sin(2 a) / 2 at an angle a to the way. Of the sum of both
-    squares the heading nearest to the bearing by a multiple of 90 degrees takes a share V^4 / (V^4 + V_0^4). V is the
-    speed that the drive aims at, if that is more: turning is cheap as long as the vehicle is slow.
+    squares such a heading takes a share V^4 / (V^4 + V_0^4). It is bow or stern, or a side, whichever is nearer to the
+    bearing, and to the present heading, lest the vehicle turn to and fro. V is the speed that the drive aims at, if
+    that is more: turning is cheap as long as the vehicle is slow.
 
     Args:
         way: unit vectors, [B, M, 2].
@@ -158,11 +163,20 @@ def heading_error(way: Tensor, state: VehicleState, bearing: Tensor, drive: Tens
         bearing: of the links, [B, M] or [M], rad.
         drive: force along the way, [B, M], N.
     """
-    nearest = torch.remainder(torch.atan2(way[..., 1], way[..., 0]) - bearing + torch.pi / 4.0, torch.pi / 2.0)
+    off = _wrapped(state.eta[..., 3] - bearing, 2.0 * torch.pi)
+    ends = _wrapped(torch.atan2(way[..., 1], way[..., 0]) - bearing, torch.pi)
+    sides = ends - torch.where(ends > 0.0, torch.pi / 2.0, -torch.pi / 2.0)
+    price_ends, price_sides = (
+        turn.abs() + TURNING * _wrapped(off - turn, 2.0 * torch.pi).abs() for turn in (ends, sides)
+    )
     fourth = torch.maximum(state.nu[..., :2].square().sum(-1), drive / PACE_DRAG).square()
-    best = bearing + fourth / (fourth + HEADING_SPEED**4) * (nearest - torch.pi / 4.0)
-    error = torch.remainder(state.eta[..., 3] - best + torch.pi, 2.0 * torch.pi) - torch.pi
-    return error.clamp(-HEADING_CLIP, HEADING_CLIP)
+    best = fourth / (fourth + HEADING_SPEED**4) * torch.where(price_sides < price_ends, sides, ends)
+    return _wrapped(off - best, 2.0 * torch.pi).clamp(-HEADING_CLIP, HEADING_CLIP)
+
+
+def _wrapped(angle: Tensor, period: float) -> Tensor:
+    """In [-period / 2, period / 2)."""
+    return torch.remainder(angle + period / 2.0, period) - period / 2.0
 
 
 def slowed(drive: Tensor, u: Tensor) -> Tensor:

@@ -147,8 +147,8 @@ def fly(
             {
                 "collisions": contacts(evaluation.clearance).sum(-1),
                 "clearance": evaluation.clearance.amin((0, 2)),
-                "separation": torch.tensor([math.inf if s is None else s for s in separation]),
-                "t99": torch.tensor([math.inf if t is None else t for t in t99]),
+                "separation": torch.tensor([math.inf if s is None else s for s in separation], dtype=torch.float64),
+                "t99": torch.tensor([math.inf if t is None else t for t in t99], dtype=torch.float64),
                 "blocked": evaluation.blocked.any(-1),
                 "cost": evaluation.cost,
             }

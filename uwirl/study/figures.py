@@ -26,6 +26,7 @@ from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario
 
 POSE_LABELS = ("x (m)", "y (m)", "z (m)", "psi (rad)")
+STYLES = ("-", "--", ":", "-.")
 CONTROL_LABELS = ("surge (N)", "sway (N)", "heave (N)", "yaw (N m)")
 
 
@@ -48,9 +49,9 @@ def mission_figure(
     _path_3d(figure.add_subplot(panels[0, 0], projection="3d"), scenario, eta)
     _path_top(figure.add_subplot(panels[0, 1]), scenario, eta)
     _capacities(figure.add_subplot(panels[0, 2]), time, evaluation)
-    _series(figure.add_subplot(panels[1, 0]), time, eta[:, 0, :3], POSE_LABELS[:3], "(b) position", "m")
-    _series(figure.add_subplot(panels[1, 1]), time, eta[:, 0, 3:], POSE_LABELS[3:], "(b) orientation", "rad")
-    _series(figure.add_subplot(panels[1, 2]), time[:-1], tau[:, 0], CONTROL_LABELS, "(c) control", "N, N m")
+    _series(figure.add_subplot(panels[1, 0]), time, eta[..., :3], POSE_LABELS[:3], "(b) position", "m")
+    _series(figure.add_subplot(panels[1, 1]), time, eta[..., 3:], POSE_LABELS[3:], "(b) orientation", "rad")
+    _series(figure.add_subplot(panels[1, 2]), time[:-1], tau, CONTROL_LABELS, "(c) control", "N, N m")
     if records and basis is not None:
         seconds = np.array([record.seconds for record in records])
         critic = np.stack([record.critic[0].numpy(force=True) for record in records])
@@ -180,8 +181,12 @@ def _capacities(axes: Axes, time: NDArray, evaluation: Evaluation) -> None:
 
 
 def _series(axes: Axes, time: NDArray, values: NDArray, labels: Sequence[str], title: str, unit: str) -> None:
+    """Values [n, M, k]: a colour each of the k, a line style each vehicle."""
     for j, label in enumerate(labels):
-        axes.plot(time, values[:, j], label=label, lw=1.1)
+        for i in range(values.shape[1]):
+            axes.plot(time, values[:, i, j], label=None if i else label, color=f"C{j}", ls=STYLES[i % 4], lw=1.1)
+    if values.shape[1] > 1:
+        title += ": " + ", ".join(f"vehicle {i + 1} {style}" for i, style in enumerate(STYLES[: values.shape[1]]))
     axes.set(xlabel="t (s)", ylabel=unit, title=title)
     axes.legend(fontsize=8)
     axes.grid(alpha=0.3)

@@ -1,0 +1,156 @@
+"""Vehicles in each other's way, all led by the weights that one vehicle learned alone.
+
+    python experiments/crossings.py
+
+swap   every vehicle starts 0.3 m or so from another's target, in reverse order, with a random heading, among cylinders
+       that leave a way of 0.45 m to everybody; in one more world exactly head-on, in free water
+cross  vehicles start anywhere, dead ends among the obstacles
+
+The guard alone keeps vehicles apart; two collide where their centres are less than two radii apart.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from uwirl import build
+from uwirl.config.compose import compose
+from uwirl.config.schema import Config
+from uwirl.config.validate import validate
+from uwirl.motion.planner import LearningPlanner
+from uwirl.motion.policy import LinkFramePolicy, Policy
+from uwirl.motion.targets import mean_channel_targets
+from uwirl.snr.measurements import take_readings
+from uwirl.study import campaign, run_folder
+from uwirl.study.campaign import Outcomes, upper_bound
+from uwirl.world.layouts import Layouts, draw_layouts
+from uwirl.world.obstacles import no_obstacles
+from uwirl.world.random import RandomStreams, Stream
+from uwirl.world.relay import Relay
+
+log = logging.getLogger("uwirl")
+
+# Of swaps: noise of starts, their clearance, and the inflation with which every way is open, m; drawn for each kept.
+NOISE_M, CLEAR_M, OPEN_M, SPARE = 0.3, 0.5, 0.45, 4
+BATCH = 250
+
+
+def swapped(env: Relay, kinds: list[str], count: int) -> tuple[Relay, Layouts]:
+    """At most `count` of the worlds with everybody at another's target; after them free water, exactly head-on."""
+    frame = mean_channel_targets(env.scenario, env.channel).frame
+    ends, M = frame.target, env.scenario.vehicles
+    streams = env.streams
+    noise = streams.normal(Stream.INITIAL_STATE, 0, 3 * M).view(-1, M, 3)
+    heading = streams.between(Stream.INITIAL_STATE, 1, -math.pi, math.pi, M)
+    drawn = draw_layouts(streams, kinds, ends)
+    layouts = replace(drawn, start=torch.cat([ends.flip(0) + NOISE_M * noise, heading[..., None]], -1))
+    gap = layouts.obstacles.clearance(layouts.start[..., :3], env.scenario.vehicle_radius)
+    good = (gap >= CLEAR_M).flatten(1).all(-1) & layouts.feasible(ends, OPEN_M)
+    kept = good.nonzero()[:count, 0]
+    rows = torch.cat([kept, kept[:1]])
+    start, obstacles = layouts.start[rows], layouts.obstacles.worlds(rows)
+    start[-1] = torch.cat([ends.flip(0), frame.bearing[:, None]], -1)
+    obstacles.present[-1] = False
+    return env.select(rows), Layouts(start, obstacles, layouts.kind[rows])
+
+
+def learn(config: Config, env: Relay) -> Callable[[Relay], Policy]:
+    """What one vehicle learns, given to all vehicles of other worlds."""
+    estimate = build.make_estimator(config)(take_readings(env), env.channel)
+    planner = build.make_planner(config, config.planner, env)
+    if not isinstance(planner, LearningPlanner):
+        raise SystemExit(f"planner={config.planner.name} does not learn")
+    planner.fit(env, estimate)
+
+    def policy_in(worlds: Relay) -> Policy:
+        targets = mean_channel_targets(worlds.scenario, estimate.channel)
+        cost = build.make_cost(config.cost, estimate.channel, targets, worlds.vehicle.tau_max)
+        shared = LinkFramePolicy(targets.frame, planner.policy.actor, planner.policy.trim)
+        return build.make_guidance(config)(worlds, cost, targets)(shared)
+
+    return policy_in
+
+
+def crossings(settings: DictConfig) -> dict[str, Any]:
+    """metrics.json: of each mode and number of vehicles, and of all together."""
+    config = compose(list(settings.overrides))
+    validate(config)
+    torch.set_num_threads(config.threads)
+    env = build.make_relay(config)
+    policy_in = learn(config, env)
+    least_m = 2.0 * env.scenario.vehicle_radius
+    metrics: dict[str, Any] = {"status": "complete", "experiment": "crossings"}
+    parts = []
+    count = settings.worlds // (2 * len(settings.vehicles))
+    for M in settings.vehicles:
+        chain = replace(env.scenario, start=env.scenario.start.new_zeros(M, 4), obstacles=no_obstacles())
+        targets = mean_channel_targets(chain, env.channel)
+        cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
+        streams = RandomStreams.worlds(settings.seed + M, count)
+        crossing = draw_layouts(streams, list(settings.kinds.cross), targets.frame.target)
+        spare = env.on(chain, RandomStreams.worlds(settings.seed + M, SPARE * count))
+        swaps = swapped(spare, list(settings.kinds.swap), count)
+        for mode, (worlds, layouts) in {"swap": swaps, "cross": (env.on(chain, streams), crossing)}.items():
+            flown = campaign.fly(worlds, layouts, policy_in, cost, targets, build.make_guard(config), BATCH)
+            parts.append(flown)
+            metrics |= {f"{mode}_{M}_{key}": value for key, value in summary(flown, least_m).items()}
+            log.info("  flown: %s of %d vehicles, %d worlds", mode, M, len(layouts.kind))
+    return metrics | summary(joined(parts), least_m)
+
+
+def summary(outcomes: Outcomes, least_m: float) -> dict[str, Any]:
+    """Entries of metrics.json; vehicles collide below `least_m` from centre to centre."""
+    worlds, struck = len(outcomes.kind), int((outcomes.separation < least_m).sum())
+    kinds_apart = {k: v for k, v in outcomes.metrics().items() if not k.startswith("reach_rate_")}
+    return kinds_apart | {
+        "vehicle_collisions": struck,
+        "vehicle_collision_rate_upper_95": upper_bound(struck, worlds),
+    }
+
+
+def joined(parts: list[Outcomes]) -> Outcomes:
+    """All worlds of several campaigns."""
+    return Outcomes(*(torch.cat([getattr(part, field.name) for part in parts]) for field in fields(Outcomes)))
+
+
+def table(metrics: dict[str, Any], groups: list[str]) -> None:
+    """Log a mode and number of vehicles a line; the last line is all of them."""
+    columns = {
+        "worlds": "worlds",
+        "contacts": "collisions",
+        "clear (m)": "min_obstacle_clearance_m",
+        "apart (m)": "min_vehicle_separation_m",
+        "struck": "vehicle_collisions",
+        "feasible": "worlds_feasible",
+        "reached": "reach_rate",
+        "t99 med": "time_to_99_percent_median_s",
+    }
+    log.info("%-8s %s", "", " ".join(f"{name:>9}" for name in columns))
+    for group in [*groups, ""]:
+        row = [metrics[f"{group}_{key}" if group else key] for key in columns.values()]
+        log.info("%-8s %s", group or "all", " ".join(f"{math.nan if x is None else x:>9.4g}" for x in row))
+    bounds = [100.0 * metrics[f"{kind}_rate_upper_95"] for kind in ("collision", "vehicle_collision")]
+    log.info("worlds with a contact < %.2f %%, with vehicles that collide < %.2f %% (95 %%)", *bounds)
+
+
+@hydra.main(version_base="1.3", config_path="conf", config_name="crossings")
+def main(settings: DictConfig) -> None:
+    """Print the table and write it to metrics.json."""
+    with torch.no_grad():
+        metrics = crossings(settings)
+    table(metrics, [f"{mode}_{M}" for mode in ("swap", "cross") for M in settings.vehicles])
+    run_folder.write_metrics(Path(HydraConfig.get().runtime.output_dir), metrics)
+
+
+if __name__ == "__main__":
+    main()

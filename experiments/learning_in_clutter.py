@@ -1,0 +1,160 @@
+"""Learning among obstacles from the first second: one independent learner in each of many cluttered worlds.
+
+    python experiments/learning_in_clutter.py
+
+Every learner starts somewhere else among obstacles of its own, learns by virtual links behind the guard, and then flies
+the mission in its world with the weights that it has found. The same learning without the guard tells what the guard
+saves: hulls then pass through cylinders.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from torch import Tensor
+
+from uwirl import build
+from uwirl.config.compose import compose
+from uwirl.config.schema import Config
+from uwirl.config.validate import validate
+from uwirl.motion.planner import IrlPlanner
+from uwirl.motion.policy import Policy
+from uwirl.motion.safety import Guard
+from uwirl.motion.targets import mean_channel_targets
+from uwirl.snr.measurements import take_readings
+from uwirl.study import run_folder
+from uwirl.study.campaign import Outcomes, fly, upper_bound
+from uwirl.world.layouts import Layouts
+from uwirl.world.relay import Relay
+from uwirl.world.vehicle import VehicleState
+
+log = logging.getLogger("uwirl")
+
+
+class Watched:
+    """A guard that notes the smallest clearance of each world.
+
+    Args:
+        guard: who does the work.
+        worlds: B.
+    """
+
+    def __init__(self, guard: Guard, worlds: int):
+        self.guard = guard
+        self.clearance = torch.full((worlds,), torch.inf, dtype=torch.float64)  # [B], m
+
+    def __call__(self, env: Relay, policy: Policy) -> Policy:
+        guarded = self.guard(env, policy)
+
+        def watched(state: VehicleState, step: int) -> Tensor:
+            clearance = env.scenario.clearance(state.position, step * env.scenario.dt).amin(-1)
+            self.clearance = torch.minimum(self.clearance, clearance)
+            return guarded(state, step)
+
+        return watched
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What B learners have gone through.
+
+    Attributes:
+        planner: with their weights.
+        seconds: that each has flown, s.
+        clearance: smallest while learning, [B], m.
+    """
+
+    planner: IrlPlanner
+    seconds: float
+    clearance: Tensor
+
+    def metrics(self) -> dict[str, Any]:
+        """Entries of metrics.json."""
+        worlds, hit = len(self.clearance), int((self.clearance < 0.0).sum())
+        return {
+            "learning_vehicle_seconds": self.seconds * worlds,
+            "learning_collisions": self.planner.recorder.contacts,
+            "learning_worlds_with_collision": hit,
+            "learning_collision_rate_upper_95": upper_bound(hit, worlds),
+            "learning_min_obstacle_clearance_m": float(self.clearance.min()),
+        }
+
+
+def worlds_of(config: Config) -> tuple[Relay, Layouts]:
+    """The worlds of `scenario.layouts`, with start and obstacles of each."""
+    common, layouts = build.make_layouts(config)
+    return common.on(
+        replace(common.scenario, start=layouts.start, obstacles=layouts.obstacles), common.streams
+    ), layouts
+
+
+def learn(config: Config, env: Relay) -> Lesson:
+    """All learners at once, each with weights and random numbers of its own."""
+    one = build.make_relay(config)
+    estimate = build.make_estimator(config)(take_readings(one), one.channel)
+    planner = build.make_planner(config, config.planner, env)
+    if not isinstance(planner, IrlPlanner) or planner.learners != env.worlds:
+        raise SystemExit("needs planner=irl and experience=virtual_links: a learner for each world")
+    planner.guard = watched = Watched(planner.guard, env.worlds)
+    records = list(planner.iterate(env, estimate))
+    return Lesson(planner, records[-1].seconds, watched.clearance)
+
+
+def fly_missions(config: Config, env: Relay, layouts: Layouts, lesson: Lesson) -> Outcomes:
+    """Every learner's mission in its own world, all in one batch: so the weights belong to the right vehicles."""
+    targets = mean_channel_targets(env.scenario, env.channel)
+    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
+    policy = lesson.planner.lead(lesson.planner.policy)
+    return fly(env, layouts, lambda worlds: policy, cost, targets, build.make_guard(config), env.worlds)
+
+
+def learning_in_clutter(settings: DictConfig) -> dict[str, Any]:
+    """metrics.json; what concerns learning without the guard has the prefix `unguarded_`."""
+    drawn = [f"{key}={settings[key]}" for key in ("seed", "kinds")]
+    layouts_of = [f"scenario.layouts.{entry}" for entry in (f"count={settings.worlds}", *drawn)]
+    config = compose([*settings.overrides, *layouts_of])
+    validate(config)
+    torch.set_num_threads(config.threads)
+    env, layouts = worlds_of(config)
+    metrics: dict[str, Any] = {"status": "complete", "experiment": "learning_in_clutter"}
+    lesson = learn(config, env)
+    log.info("  learned: %d worlds, %.0f s each", env.worlds, lesson.seconds)
+    metrics |= lesson.metrics() | fly_missions(config, env, layouts, lesson).metrics()
+    if settings.also_unguarded:
+        careless = learn(compose([*settings.overrides, *layouts_of, "safety=none"]), env)
+        metrics |= {f"unguarded_{key}": value for key, value in careless.metrics().items()}
+    return metrics
+
+
+def table(metrics: dict[str, Any]) -> None:
+    """Log the flights: learning with and without the guard, and the missions."""
+    log.info("%-20s %9s %8s %10s %8s %9s", "", "time (s)", "contacts", "in worlds", "hit <", "clear (m)")
+    columns = ("collisions", "worlds_with_collision", "collision_rate_upper_95", "min_obstacle_clearance_m")
+    flights = {"learning": "learning_", "learning, no guard": "unguarded_learning_", "missions": ""}
+    for name, prefix in flights.items():
+        if f"{prefix}collisions" in metrics:
+            seconds = metrics.get(f"{prefix}vehicle_seconds", float("nan"))
+            row = [metrics[f"{prefix}{column}"] for column in columns]
+            log.info("%-20s %9.0f %8d %10d %8.2f %9.3f", name, seconds, *row)
+    reached, feasible, cost = (metrics[key] for key in ("reach_rate", "worlds_feasible", "cost_total_median"))
+    log.info("reached: %.3f of %d feasible worlds; J, median: %.3f", reached, feasible, cost)
+
+
+@hydra.main(version_base="1.3", config_path="conf", config_name="learning_in_clutter")
+def main(settings: DictConfig) -> None:
+    """Print the table and write metrics.json."""
+    with torch.no_grad():
+        metrics = learning_in_clutter(settings)
+    table(metrics)
+    run_folder.write_metrics(Path(HydraConfig.get().runtime.output_dir), metrics)
+
+
+if __name__ == "__main__":
+    main()

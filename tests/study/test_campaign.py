@@ -1,0 +1,102 @@
+"""Campaigns over random layouts: what is counted, and how sure one can be."""
+
+import math
+
+import pytest
+import torch
+from scipy import stats
+
+from uwirl import build
+from uwirl.apps.layouts import campaign
+from uwirl.config import world_rules
+from uwirl.motion.targets import mean_channel_targets
+from uwirl.snr.estimators import oracle
+from uwirl.snr.measurements import take_readings
+from uwirl.study.campaign import Outcomes, fly, upper_bound
+from uwirl.study.evaluation import evaluate
+from uwirl.world.layouts import KINDS
+
+SMALL = (
+    "experiment=random_layouts",
+    "planner=pd",
+    "guidance.spacing_m=1",
+    "scenario.layouts.count=8",
+    "scenario.layouts.seed=1",
+    "scenario.layouts.kinds=[random,ring,ring,ring]",
+    "scenario.duration_s=60",
+    "logging.figures=false",
+)
+
+
+@pytest.mark.parametrize(("failures", "trials"), [(0, 1), (0, 1882), (3, 1882), (5, 20), (19, 20)])
+def test_upper_bound_is_clopper_pearsons(failures, trials):
+    exact = stats.binomtest(failures, trials, alternative="less").proportion_ci(0.95, "exact").high
+    assert upper_bound(failures, trials) == pytest.approx(exact, rel=1e-9)
+
+
+def test_upper_bound_at_the_ends():
+    assert upper_bound(7, 7) == 1.0
+    assert math.isnan(upper_bound(0, 0))
+
+
+def test_configuration_knows_the_kinds_of_layouts():
+    assert world_rules.LAYOUT_KINDS == KINDS
+
+
+@pytest.fixture(scope="module")
+def flown(make_config):
+    config = make_config(*SMALL)
+    env, layouts = build.make_layouts(config)
+    training = build.make_relay(config)
+    truth = oracle(take_readings(training), training.channel)
+    planner = build.make_planner(config, config.planner, training)
+    targets = mean_channel_targets(env.scenario, env.channel)
+    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
+
+    def policy_in(worlds):
+        return build.policy_in(worlds, config, planner, truth)
+
+    outcomes = fly(env, layouts, policy_in, cost, targets, build.make_guard(config), batch=3)
+    return config, env, layouts, policy_in, cost, targets, outcomes
+
+
+def test_outcomes_are_those_of_single_missions(flown):
+    config, env, layouts, policy_in, cost, targets, outcomes = flown
+    common = build.replace(env.scenario, start=layouts.start, obstacles=layouts.obstacles)
+    one = env.on(common, env.streams).select(torch.tensor([4]))
+    alone = evaluate(one, policy_in(one), cost, targets, one.reset(), build.make_guard(config))
+    assert float(outcomes.cost[4]) == pytest.approx(float(alone.cost), rel=1e-9)
+    assert float(outcomes.clearance[4]) == pytest.approx(float(alone.clearance.min()), rel=1e-9)
+    assert float(outcomes.t99[4]) == (alone.time_to_99_percent() or math.inf)
+
+
+def test_blocked_are_those_without_a_way_and_nobody_touches(flown):
+    outcomes = flown[-1]
+    assert not bool(outcomes.ambiguous.any())
+    assert 0 < int((~outcomes.feasible).sum()) < 8
+    assert torch.equal(outcomes.blocked, ~outcomes.feasible)
+    assert int(outcomes.collisions.sum()) == 0
+
+
+def test_metrics_and_table_count_alike(flown):
+    outcomes: Outcomes = flown[-1]
+    metrics = outcomes.metrics()
+    assert metrics["worlds"] == 8
+    assert metrics["worlds_feasible"] + metrics["worlds_infeasible"] == 8
+    assert metrics["blocked"] == metrics["blocked_where_infeasible"] == metrics["worlds_infeasible"]
+    assert metrics["reach_rate"] == pytest.approx(float(outcomes.reached[outcomes.feasible].double().mean()))
+    rows = {line.split()[0]: line.split() for line in outcomes.table()}
+    assert rows.keys() == {"kind", "random", "ring", "all"}
+    assert int(rows["all"][2]) == metrics["worlds_feasible"]
+    assert (int(rows["random"][1]), int(rows["ring"][1])) == (2, 6)
+
+
+def test_the_app_leaves_every_layout_behind(flown, tmp_path):
+    import numpy as np
+
+    config, _, layouts, policy_in, *_ = flown
+    metrics = campaign(config, policy_in, tmp_path)
+    kept = np.load(tmp_path / "layouts.npz")
+    assert kept["start"].shape == (8, 1, 4)
+    assert (kept["kind"] == layouts.kind.numpy()).all()
+    assert float(np.median(kept["cost"][kept["feasible"]])) == pytest.approx(metrics["cost_total_median"], rel=1e-2)
