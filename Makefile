@@ -26,6 +26,7 @@ lint: .venv/.installed
 
 benchmark: .venv/.installed
 	$(BIN)/python benchmarks/world.py
+	$(BIN)/python benchmarks/planning.py
 
 clean:
 	rm -rf .venv build dist

@@ -105,42 +105,27 @@ def crossings(settings: DictConfig) -> dict[str, Any]:
             parts.append(flown)
             metrics |= {f"{mode}_{M}_{key}": value for key, value in summary(flown, least_m).items()}
             log.info("  flown: %s of %d vehicles, %d worlds", mode, M, len(layouts.kind))
-    return metrics | summary(joined(parts), least_m)
+    everything = Outcomes(*(torch.cat([getattr(part, field.name) for part in parts]) for field in fields(Outcomes)))
+    return metrics | summary(everything, least_m)
 
 
 def summary(outcomes: Outcomes, least_m: float) -> dict[str, Any]:
     """Entries of metrics.json; vehicles collide below `least_m` from centre to centre."""
     worlds, struck = len(outcomes.kind), int((outcomes.separation < least_m).sum())
-    kinds_apart = {k: v for k, v in outcomes.metrics().items() if not k.startswith("reach_rate_")}
-    return kinds_apart | {
-        "vehicle_collisions": struck,
-        "vehicle_collision_rate_upper_95": upper_bound(struck, worlds),
-    }
-
-
-def joined(parts: list[Outcomes]) -> Outcomes:
-    """All worlds of several campaigns."""
-    return Outcomes(*(torch.cat([getattr(part, field.name) for part in parts]) for field in fields(Outcomes)))
+    vehicles = {"vehicle_collisions": struck, "vehicle_collision_rate_upper_95": upper_bound(struck, worlds)}
+    return {key: x for key, x in outcomes.metrics().items() if not key.startswith("reach_rate_")} | vehicles
 
 
 def table(metrics: dict[str, Any], groups: list[str]) -> None:
     """Log a mode and number of vehicles a line; the last line is all of them."""
-    columns = {
-        "worlds": "worlds",
-        "contacts": "collisions",
-        "clear (m)": "min_obstacle_clearance_m",
-        "apart (m)": "min_vehicle_separation_m",
-        "struck": "vehicle_collisions",
-        "feasible": "worlds_feasible",
-        "reached": "reach_rate",
-        "t99 med": "time_to_99_percent_median_s",
-    }
-    log.info("%-8s %s", "", " ".join(f"{name:>9}" for name in columns))
-    for group in [*groups, ""]:
-        row = [metrics[f"{group}_{key}" if group else key] for key in columns.values()]
-        log.info("%-8s %s", group or "all", " ".join(f"{math.nan if x is None else x:>9.4g}" for x in row))
-    bounds = [100.0 * metrics[f"{kind}_rate_upper_95"] for kind in ("collision", "vehicle_collision")]
-    log.info("worlds with a contact < %.2f %%, with vehicles that collide < %.2f %% (95 %%)", *bounds)
+    log.info("          worlds  contacts clear (m) apart (m)    struck  feasible   reached   t99 med")
+    keys = ["worlds", "collisions", "min_obstacle_clearance_m", "min_vehicle_separation_m", "vehicle_collisions"]
+    keys += ["worlds_feasible", "reach_rate", "time_to_99_percent_median_s"]
+    for prefix in [*(f"{group}_" for group in groups), ""]:
+        row = [metrics[f"{prefix}{key}"] for key in keys]
+        log.info("%-7s%s", prefix[:-1] or "all", " ".join(f"{math.nan if x is None else x:>9.4g}" for x in row))
+    bounds = [metrics[f"{kind}_rate_upper_95"] for kind in ("collision", "vehicle_collision")]
+    log.info("95 %% sure: contacts in less than %.4f, collisions of vehicles in less than %.4f of all worlds", *bounds)
 
 
 @hydra.main(version_base="1.3", config_path="conf", config_name="crossings")

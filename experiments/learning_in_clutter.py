@@ -10,7 +10,7 @@ saves: hulls then pass through cylinders.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +30,7 @@ from uwirl.motion.safety import Guard
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.measurements import take_readings
 from uwirl.study import run_folder
-from uwirl.study.campaign import Outcomes, fly, upper_bound
-from uwirl.world.layouts import Layouts
+from uwirl.study.campaign import fly, upper_bound
 from uwirl.world.relay import Relay
 from uwirl.world.vehicle import VehicleState
 
@@ -61,75 +60,45 @@ class Watched:
         return watched
 
 
-@dataclass(frozen=True)
-class Lesson:
-    """What B learners have gone through.
-
-    Attributes:
-        planner: with their weights.
-        seconds: that each has flown, s.
-        clearance: smallest while learning, [B], m.
-    """
-
-    planner: IrlPlanner
-    seconds: float
-    clearance: Tensor
-
-    def metrics(self) -> dict[str, Any]:
-        """Entries of metrics.json."""
-        worlds, hit = len(self.clearance), int((self.clearance < 0.0).sum())
-        return {
-            "learning_vehicle_seconds": self.seconds * worlds,
-            "learning_collisions": self.planner.recorder.contacts,
-            "learning_worlds_with_collision": hit,
-            "learning_collision_rate_upper_95": upper_bound(hit, worlds),
-            "learning_min_obstacle_clearance_m": float(self.clearance.min()),
-        }
-
-
-def worlds_of(config: Config) -> tuple[Relay, Layouts]:
-    """The worlds of `scenario.layouts`, with start and obstacles of each."""
-    common, layouts = build.make_layouts(config)
-    return common.on(
-        replace(common.scenario, start=layouts.start, obstacles=layouts.obstacles), common.streams
-    ), layouts
-
-
-def learn(config: Config, env: Relay) -> Lesson:
-    """All learners at once, each with weights and random numbers of its own."""
+def learn(config: Config, env: Relay) -> tuple[IrlPlanner, dict[str, Any]]:
+    """All learners at once, each with weights and random numbers of its own; also entries of metrics.json."""
     one = build.make_relay(config)
     estimate = build.make_estimator(config)(take_readings(one), one.channel)
     planner = build.make_planner(config, config.planner, env)
     if not isinstance(planner, IrlPlanner) or planner.learners != env.worlds:
         raise SystemExit("needs planner=irl and experience=virtual_links: a learner for each world")
     planner.guard = watched = Watched(planner.guard, env.worlds)
-    records = list(planner.iterate(env, estimate))
-    return Lesson(planner, records[-1].seconds, watched.clearance)
-
-
-def fly_missions(config: Config, env: Relay, layouts: Layouts, lesson: Lesson) -> Outcomes:
-    """Every learner's mission in its own world, all in one batch: so the weights belong to the right vehicles."""
-    targets = mean_channel_targets(env.scenario, env.channel)
-    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
-    policy = lesson.planner.lead(lesson.planner.policy)
-    return fly(env, layouts, lambda worlds: policy, cost, targets, build.make_guard(config), env.worlds)
+    *_, last = planner.iterate(env, estimate)
+    hit = int((watched.clearance < 0.0).sum())
+    return planner, {
+        "learning_vehicle_seconds": last.seconds * env.worlds,
+        "learning_collisions": planner.recorder.contacts,
+        "learning_worlds_with_collision": hit,
+        "learning_collision_rate_upper_95": upper_bound(hit, env.worlds),
+        "learning_min_obstacle_clearance_m": float(watched.clearance.min()),
+    }
 
 
 def learning_in_clutter(settings: DictConfig) -> dict[str, Any]:
     """metrics.json; what concerns learning without the guard has the prefix `unguarded_`."""
-    drawn = [f"{key}={settings[key]}" for key in ("seed", "kinds")]
-    layouts_of = [f"scenario.layouts.{entry}" for entry in (f"count={settings.worlds}", *drawn)]
-    config = compose([*settings.overrides, *layouts_of])
+    drawn = {"count": settings.worlds, "seed": settings.seed, "kinds": settings.kinds}
+    overrides = [*settings.overrides, *(f"scenario.layouts.{key}={value}" for key, value in drawn.items())]
+    config = compose(overrides)
     validate(config)
     torch.set_num_threads(config.threads)
-    env, layouts = worlds_of(config)
-    metrics: dict[str, Any] = {"status": "complete", "experiment": "learning_in_clutter"}
-    lesson = learn(config, env)
-    log.info("  learned: %d worlds, %.0f s each", env.worlds, lesson.seconds)
-    metrics |= lesson.metrics() | fly_missions(config, env, layouts, lesson).metrics()
+    common, layouts = build.make_layouts(config)
+    env = common.on(replace(common.scenario, start=layouts.start, obstacles=layouts.obstacles), common.streams)
+    planner, learned = learn(config, env)
+    log.info("  learned: %d worlds, %.0f s in all", env.worlds, learned["learning_vehicle_seconds"])
+    targets = mean_channel_targets(env.scenario, env.channel)
+    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
+    policy = planner.lead(planner.policy)
+    # In one batch, or weights would come to the wrong vehicles.
+    missions = fly(env, layouts, lambda worlds: policy, cost, targets, build.make_guard(config), env.worlds)
+    metrics = {"status": "complete", "experiment": "learning_in_clutter"} | learned | missions.metrics()
     if settings.also_unguarded:
-        careless = learn(compose([*settings.overrides, *layouts_of, "safety=none"]), env)
-        metrics |= {f"unguarded_{key}": value for key, value in careless.metrics().items()}
+        _, careless = learn(compose([*overrides, "safety=none"]), env)
+        metrics |= {f"unguarded_{key}": value for key, value in careless.items()}
     return metrics
 
 
