@@ -43,7 +43,7 @@ from uwirl.motion.experience import Parallel, VirtualLinks, Window
 from uwirl.motion.features import ErrorBasis, LinkFrameBasis, MotionBasis
 from uwirl.motion.geodesic_basis import GeodesicBasis, LearnedGeodesic
 from uwirl.motion.guidance import Geodesic, Guidance, straight
-from uwirl.motion.planner import CostFactory, ExperienceSource, IrlPlanner, LearningPlanner, Planner
+from uwirl.motion.planner import CostFactory, ExperienceSource, IrlPlanner, Planner
 from uwirl.motion.policy import Policy
 from uwirl.motion.route import MapSettings
 from uwirl.motion.safety import EnergyGuard, Guard, unguarded
@@ -205,11 +205,11 @@ def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
 
 def policy_in(worlds: Relay, config: Config, planner: Planner, estimate: ChannelEstimate) -> Policy:
     """What a planner has found, in other worlds between the same nodes."""
-    if not isinstance(planner, LearningPlanner):
+    if not isinstance(planner, IrlPlanner):
         return planner.fit(worlds, estimate)
     targets = mean_channel_targets(worlds.scenario, estimate.channel)
     cost = make_cost(config.cost, estimate.channel, targets, worlds.vehicle.tau_max)
-    return make_guidance(config)(worlds, cost, targets)(planner.policy)
+    return planner.guidance(worlds, cost, targets)(planner.policy)
 
 
 def _irl_planner(config: Config, planner: IrlConfig, env: Relay, cost: CostFactory) -> IrlPlanner:

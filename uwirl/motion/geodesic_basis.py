@@ -224,7 +224,8 @@ class GeodesicBasis:
     def hovering(self, weights: Tensor) -> LinearActor:
         """The link-frame policy."""
         parts = weights.split([len(names) for names in self.actor_names], -1)
-        return LinearActor(self.near, torch.cat([part[..., n:] for part, n in zip(parts, (2, 2, 1, 2), strict=True)], -1))
+        near = [part[..., far:] for part, far in zip(parts, (2, 2, 1, 2), strict=True)]
+        return LinearActor(self.near, torch.cat(near, -1))
 
     def weights(self, near: Tensor, way: Sequence[float], glide: float, heading: Sequence[float]) -> Tensor:
         """[n3] of those of the link-frame basis, (k, d), the glide's, and the heading's stiffness and damping."""
