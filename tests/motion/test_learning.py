@@ -107,6 +107,17 @@ def test_parallel_worlds_teach_one_learner(learn, judge):
     assert float(judge(env, planner, records[-1].actor)[0]) < 3.6
 
 
+def test_one_set_of_weights_or_one_for_each_vehicle(learn):
+    pair = ("scenario.start=[[29.5,29.5,0,1],[30.5,28.5,0,2]]",)
+    env, own, _ = learn(*SHORT, *pair)
+    assert own.policy.actor.weight.shape == (2, 17)
+    assert not torch.equal(own.policy.actor.weight[0], own.policy.actor.weight[1])
+    shared = ("experience=parallel", "experience.worlds=5", "planner.max_time_s=200")
+    _, one, _ = learn(*shared, *pair)
+    assert one.policy.actor.weight.shape == (1, 17)
+    assert one.lead(one.policy)(env.reset(), 0).shape == (1, 2, 4)
+
+
 @pytest.mark.parametrize("gain", [0.0, -1.0])
 def test_inadmissible_start_is_refused(learn, gain):
     with pytest.raises(InadmissiblePolicyError, match="not admissible"):

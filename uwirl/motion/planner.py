@@ -115,8 +115,8 @@ class IrlPlanner(LearningPlanner):
         targets = mean_channel_targets(env.scenario, estimate.channel)
         cost = self.make_cost(estimate.channel, targets)
         self.lead = self.guidance(env, cost, targets)
-        # One row a learner or flown vehicle, as segments and policies have them.
-        own = cost.of(torch.arange(env.worlds * env.scenario.vehicles, device=targets.neighbours.device))
+        # One row a learner, as segments have them; hops are equal, so that one learner serves all vehicles.
+        own = cost.of(torch.arange(self.learners, device=targets.neighbours.device))
         self.basis = self.make_basis(own)
         start = (self.start_gain * self.basis.start_weights()).repeat(self.learners, 1)
         # Weights are float64 whatever the environment's dtype.
