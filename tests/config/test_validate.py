@@ -41,6 +41,8 @@ RULES = [
     ("experiment=random_layouts scenario.layouts.kinds=[rings]", "scenario.layouts.kinds", "did you mean 'ring'"),
     ("experiment=random_layouts scenario.layouts.half_width_m=0", "scenario.layouts.half_width_m", "greater than 0"),
     ("experiment=random_layouts scenario.layouts.current_mps=-1", "scenario.layouts.current_mps", "at least 0"),
+    ("basis=geodesic", "experience.relabel", "another link needs another map"),
+    ("basis=geodesic guidance=straight", "guidance.name", "learns how to fly with guidance=geodesic"),
     ("scenario.start=[]", "scenario.start", "needs at least one vehicle [x, y, z, psi]"),
     ("scenario.start=[1,2,-3,0]", "scenario.start[0]", "needs 4 finite numbers, got 1"),
     ("scenario.start=[[1,2,-3]]", "scenario.start[0]", "needs 4 finite numbers"),

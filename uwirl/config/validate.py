@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from uwirl.config.checks import ConfigError, one_of
 from uwirl.config.planning_rules import check_cost, check_guidance, check_planner, check_safety, check_solver
-from uwirl.config.schema import Config
+from uwirl.config.schema import Config, GeodesicConfig, IrlConfig, VirtualLinksConfig
 from uwirl.config.world_rules import (
     check_channel,
     check_current,
@@ -35,6 +35,11 @@ def validate(config: Config) -> None:
         scales = config.basis.length_scales_m
         if not scales or any(not L > 0.0 for L in scales) or len(set(scales)) < len(scales):
             raise ConfigError("basis.length_scales_m", f"needs one or more different positive lengths, got {scales}")
+    if config.basis.name == "geodesic" and isinstance(config.planner, IrlConfig):
+        if not isinstance(config.guidance, GeodesicConfig):
+            raise ConfigError("guidance.name", "basis=geodesic learns how to fly with guidance=geodesic")
+        if isinstance(config.experience, VirtualLinksConfig) and config.experience.relabel:
+            raise ConfigError("experience.relabel", "must be 0 with basis=geodesic: another link needs another map")
     check_cost(config.cost)
     check_safety(config.safety, config)
     check_obstacles(config.scenario, config.safety)
