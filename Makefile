@@ -27,6 +27,8 @@ lint: .venv/.installed
 benchmark: .venv/.installed
 	$(BIN)/python benchmarks/world.py
 	$(BIN)/python benchmarks/planning.py
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[compare]'
+	$(BIN)/python benchmarks/estimation.py
 
 clean:
 	rm -rf .venv build dist

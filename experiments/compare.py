@@ -31,7 +31,7 @@ from uwirl.motion.cost import RelayCost
 from uwirl.motion.planner import LearningPlanner, Planner
 from uwirl.motion.targets import ChainTargets, mean_channel_targets
 from uwirl.snr.estimate import ChannelEstimate
-from uwirl.snr.measurements import take_readings
+from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.study import run_folder
 from uwirl.study.evaluation import Evaluation, evaluate
 from uwirl.world.layouts import KINDS, draw_layouts
@@ -56,7 +56,7 @@ class Rival:
         validate(config)
         torch.set_num_threads(config.threads)
         env = build.make_relay(config)
-        estimate = build.make_estimator(config)(take_readings(env), env.channel)
+        _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator))
         planner = build.make_planner(config, config.planner, env)
         if isinstance(planner, LearningPlanner):
             planner.fit(env, estimate)

@@ -30,7 +30,7 @@ from uwirl.config.validate import validate
 from uwirl.motion.planner import LearningPlanner
 from uwirl.motion.policy import LinkFramePolicy, Policy
 from uwirl.motion.targets import mean_channel_targets
-from uwirl.snr.measurements import take_readings
+from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.study import campaign, run_folder
 from uwirl.study.campaign import Outcomes, upper_bound
 from uwirl.world.layouts import Layouts, draw_layouts
@@ -66,7 +66,7 @@ def swapped(env: Relay, kinds: list[str], count: int) -> tuple[Relay, Layouts]:
 
 def learn(config: Config, env: Relay) -> Callable[[Relay], Policy]:
     """What one vehicle learns, given to all vehicles of other worlds."""
-    estimate = build.make_estimator(config)(take_readings(env), env.channel)
+    _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator))
     planner = build.make_planner(config, config.planner, env)
     if not isinstance(planner, LearningPlanner):
         raise SystemExit(f"planner={config.planner.name} does not learn")

@@ -23,7 +23,7 @@ from uwirl.config.compose import compose
 from uwirl.config.validate import validate
 from uwirl.motion.planner import LearningPlanner
 from uwirl.motion.targets import mean_channel_targets
-from uwirl.snr.measurements import take_readings
+from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.study import run_folder
 from uwirl.study.evaluation import cost_of_weights
 from uwirl.world.random import RandomStreams
@@ -67,7 +67,7 @@ def learning_curve(seeds: int, times_s: list[float], overrides: list[str]) -> di
     validate(config)
     torch.set_num_threads(config.threads)
     env = build.make_relay(config, RandomStreams.replicates(range(seeds), config.device))
-    estimate = build.make_estimator(config)(take_readings(env), env.channel)
+    _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator))
     planner = build.make_planner(config, config.planner, env)
     if not isinstance(planner, LearningPlanner):
         raise SystemExit(f"planner={config.planner.name} does not learn")

@@ -28,7 +28,7 @@ from uwirl.motion.planner import IrlPlanner
 from uwirl.motion.policy import Policy
 from uwirl.motion.safety import Guard
 from uwirl.motion.targets import mean_channel_targets
-from uwirl.snr.measurements import take_readings
+from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.study import run_folder
 from uwirl.study.campaign import fly, upper_bound
 from uwirl.world.relay import Relay
@@ -63,7 +63,7 @@ class Watched:
 def learn(config: Config, env: Relay) -> tuple[IrlPlanner, dict[str, Any]]:
     """All learners at once, each with weights and random numbers of its own; also entries of metrics.json."""
     one = build.make_relay(config)
-    estimate = build.make_estimator(config)(take_readings(one), one.channel)
+    _, estimate = estimate_each_vehicle(one, build.make_estimator(config.estimator))
     planner = build.make_planner(config, config.planner, env)
     if not isinstance(planner, IrlPlanner) or planner.learners != env.worlds:
         raise SystemExit("needs planner=irl and experience=virtual_links: a learner for each world")

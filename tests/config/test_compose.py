@@ -54,6 +54,29 @@ def test_every_group_has_files():
     assert {group for group, _ in FILES} == set(GROUPS)
 
 
+def test_likelihood_is_the_default(make_config):
+    assert make_config().estimator.name == "maximum_likelihood"
+    assert not make_config().estimator.robust
+
+
+@pytest.mark.parametrize(
+    ("ablation", "section", "key", "value"),
+    [
+        ("no_shadowing", "channel", "zeta_dB", 0.0),
+        ("no_multipath", "channel", "rho_dB", 0.0),
+        ("least_squares", "estimator", "name", "least_squares"),
+        ("oracle_snr", "estimator", "name", "oracle"),
+    ],
+)
+@pytest.mark.parametrize("channel", ["paper", "acoustic_24khz"])
+def test_ablations_of_the_estimate_change_one_thing(make_config, channel, ablation, section, key, value):
+    plain, ablated = (make_config(f"channel={channel}", f"ablation={name}") for name in ("none", ablation))
+    assert getattr(getattr(ablated, section), key) == value
+    assert getattr(getattr(plain, section), key) != value
+    setattr(getattr(ablated, section), key, getattr(getattr(plain, section), key))
+    assert ablated == plain
+
+
 def test_parallel_raises_the_time_limit(make_config):
     assert make_config().planner.max_time_s < 7200.0
     assert make_config("experience=parallel").planner.max_time_s == 7200.0

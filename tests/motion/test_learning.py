@@ -11,7 +11,7 @@ from uwirl.irl.solvers import BatchLeastSquares, ZRecursiveLeastSquares
 from uwirl.motion.excitation import Excitation, PoseDraw
 from uwirl.motion.planner import LearningPlanner
 from uwirl.motion.targets import mean_channel_targets
-from uwirl.snr.estimators import oracle
+from uwirl.snr.estimators import estimate_each_vehicle, oracle
 from uwirl.snr.measurements import take_readings
 from uwirl.study.evaluation import cost_of_weights, evaluate
 from uwirl.world.random import RandomStreams
@@ -27,7 +27,7 @@ def learn(make_config, make_relay):
         overrides = ("experiment=fig5_free", *overrides)
         config = make_config(*overrides)
         env = make_relay(*overrides, streams=RandomStreams.replicates(seeds) if seeds else None)
-        estimate = build.make_estimator(config)(take_readings(env), env.channel)
+        _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator))
         planner = build.make_planner(config, config.planner, env)
         assert isinstance(planner, LearningPlanner)
         return env, planner, list(planner.iterate(env, estimate))

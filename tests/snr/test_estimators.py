@@ -1,173 +1,283 @@
-"""Estimators: exact recovery, NumPy's and SciPy's least squares, closed-form errors, bias and coverage, refusals."""
+"""Estimators: dense NumPy and SciPy, exact recovery, missing readings, what is identifiable, and refusals."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
-from functools import cache
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 import torch
-from scipy import stats
-from torch import Tensor
+from dense import Dense, geometry_of, places, simulate
 
-from uwirl.config.compose import folder
-from uwirl.snr.estimate import ChannelEstimate
-from uwirl.snr.estimators import ESTIMATORS, UnidentifiableError, least_squares, oracle
-from uwirl.snr.measurements import Readings
+from uwirl.config import validate
+from uwirl.snr.estimate import NAMES, ChannelEstimate
+from uwirl.snr.estimators import (
+    ESTIMATORS,
+    disk,
+    estimate_each_vehicle,
+    generalized_least_squares_once,
+    least_squares,
+    maximum_likelihood,
+    oracle,
+    separate,
+)
+from uwirl.snr.likelihood import DECREMENT
+from uwirl.snr.measurements import Readings, take_readings
+from uwirl.snr.model import UnidentifiableError
+from uwirl.snr.moments import moment_fit
 from uwirl.world.acoustics import Channel
-from uwirl.world.random import RandomStreams, Stream
 
-CHANNELS = sorted(path.stem for path in (folder() / "channel").glob("*.yaml"))
-DISTANCE = torch.tensor([3.0, 7.0, 12.0, 20.0, 31.0, 44.0, 60.0, 85.0], dtype=torch.float64)
-DATA_SETS = 2_000
-
-
-@pytest.fixture(params=CHANNELS)
-def channel(request: pytest.FixtureRequest, make_config) -> Channel:
-    return Channel(**asdict(make_config(f"channel={request.param}").channel))
-
-
-def noise(worlds: int, seed: int = 0) -> Tensor:
-    return RandomStreams.worlds(seed, worlds).normal(Stream.MEASUREMENT, 0, len(DISTANCE))
+# All that estimate path loss and fading.
+FITTING = {
+    "least_squares": least_squares,
+    "generalized_least_squares": generalized_least_squares_once,
+    "separate": separate,
+    "maximum_likelihood": maximum_likelihood,
+}
+# `separate` goes on until all of its data sets have settled, so that one may see another round in company.
+ALONE = sorted(set(ESTIMATORS) - {"separate"})
+READING = sorted(set(ESTIMATORS) - {"oracle"})
+TENSORS = ("value", "covariance", "identifiable", "cost")
 
 
-def noisy(channel: Channel, seed: int = 0) -> Readings:
-    return Readings(DISTANCE, channel.mean_snr_dB(DISTANCE) + channel.rho_dB * noise(1, seed)[0])
+def same(first: ChannelEstimate, second: ChannelEstimate, rtol: float = 1e-9) -> None:
+    """In all but the covariance of what is not identifiable, which means nothing."""
+    assert torch.equal(first.identifiable, second.identifiable)
+    told = first.identifiable[:, :, None] & first.identifiable[:, None, :]
+    pairs = [(x.value, x.cost, torch.where(told, x.covariance, 0.0)) for x in (first, second)]
+    for a, b in zip(*pairs, strict=True):
+        torch.testing.assert_close(a, b, rtol=rtol, atol=1e-9)
 
 
-@cache
-def simulated(channel: Channel) -> list[ChannelEstimate]:
-    """Estimates from independent data sets, one for each world."""
-    snr = channel.mean_snr_dB(DISTANCE) + channel.rho_dB * noise(DATA_SETS, seed=1)
-    return [least_squares(Readings(DISTANCE, row), channel) for row in snr]
+def with_gaps(readings: Readings, share: float, seed: int = 0) -> Readings:
+    """Each data set without some readings of its own."""
+    draws = torch.rand(readings.snr.shape, generator=torch.Generator().manual_seed(seed))
+    return replace(readings, snr=torch.where(draws < share, torch.nan, readings.snr))
 
 
-def test_recovers_exactly_without_noise(channel: Channel):
-    estimate = least_squares(Readings(DISTANCE, channel.mean_snr_dB(DISTANCE)), channel)
-    assert estimate.K_dB.value == pytest.approx(channel.K_dB, abs=1e-10)
-    assert estimate.n.value == pytest.approx(channel.n, abs=1e-11)
-    assert estimate.rho2.value == pytest.approx(0.0, abs=1e-20)
-
-
-def test_agrees_with_numpy(channel: Channel):
-    readings = noisy(channel)
-    H = np.stack([np.ones(len(DISTANCE)), -10.0 * np.log10(DISTANCE.numpy())], -1)
-    y = (readings.snr + channel.known_loss_dB(DISTANCE)).numpy()
-    theta, residual, _, _ = np.linalg.lstsq(H, y)
-    estimate = least_squares(readings, channel)
-    assert [estimate.K_dB.value, estimate.n.value] == pytest.approx(theta, rel=1e-12)
-    assert estimate.rho2.value == pytest.approx(residual[0] / (len(y) - 2), rel=1e-9)
-
-
-def test_standard_errors_agree_with_scipy(channel: Channel):
-    readings = noisy(channel)
-    x, y = -10.0 * torch.log10(DISTANCE), readings.snr + channel.known_loss_dB(DISTANCE)
-    line = stats.linregress(x.numpy(), y.numpy())
-    estimate = least_squares(readings, channel)
-    assert estimate.K_dB.std == pytest.approx(line.intercept_stderr, rel=1e-9)
-    assert estimate.n.std == pytest.approx(line.stderr, rel=1e-9)
-
-
-def test_covariance_closed_form(channel: Channel):
-    estimate = least_squares(noisy(channel), channel)
-    x = -10.0 * torch.log10(DISTANCE)
-    spread = float((x - x.mean()).square().sum())
-    mean = float(x.mean())
-    slope = estimate.rho2.value / spread
-    intercept = estimate.rho2.value * (1.0 / len(x) + mean**2 / spread)
-    expected = torch.tensor([[intercept, -mean * slope], [-mean * slope, slope]], dtype=torch.float64)
-    torch.testing.assert_close(estimate.covariance, expected, rtol=1e-9, atol=0.0)
-    assert [estimate.K_dB.std, estimate.n.std] == pytest.approx(expected.diagonal().sqrt().tolist(), rel=1e-9)
-
-
-def test_planning_channel_holds_the_estimate(channel: Channel):
-    estimate = least_squares(noisy(channel), channel)
-    rho_dB = math.sqrt(estimate.rho2.value)
-    expected = replace(channel, K_dB=estimate.K_dB.value, n=estimate.n.value, rho_dB=rho_dB)
-    assert asdict(estimate.channel) == pytest.approx(asdict(expected))
-
-
-def test_uses_only_what_a_vehicle_knows(channel: Channel):
-    readings = noisy(channel)
-    blind = least_squares(readings, replace(channel, K_dB=math.nan, n=math.nan, rho_dB=math.nan)).channel
-    informed = least_squares(readings, channel).channel
-    expected = [informed.K_dB, informed.n, informed.rho_dB]
-    assert [blind.K_dB, blind.n, blind.rho_dB] == pytest.approx(expected, rel=1e-12)
-
-
-def test_same_readings_give_the_same_bits(channel: Channel):
-    readings = noisy(channel)
-    held, estimates = [], set()
-    for i in range(500):
-        held.append(torch.zeros(i % 13 + 1))  # moves what is allocated next, as other work in the process does
-        estimate = least_squares(readings, channel)
-        estimates.add((estimate.K_dB.value, estimate.n.value, estimate.rho2.value))
-    assert len(estimates) == 1
-
-
-def test_unbiased_with_the_right_coverage(channel: Channel):
-    # Eight readings leave six degrees of freedom: a normal interval would cover 90 % only.
-    quantile = stats.t.ppf(0.975, len(DISTANCE) - 2)
-    estimates = simulated(channel)
-    for name, truth in (("K_dB", channel.K_dB), ("n", channel.n)):
-        value = np.array([getattr(estimate, name).value for estimate in estimates])
-        std = np.array([getattr(estimate, name).std for estimate in estimates])
-        coverage = float(np.mean(np.abs(value - truth) < quantile * std))
-        assert 0.93 < coverage < 0.97
-        assert abs(value.mean() - truth) < 4.0 * value.std() / math.sqrt(DATA_SETS)
-
-
-def test_fading_power_is_chi_squared(channel: Channel):
-    freedom = len(DISTANCE) - 2
-    rho2 = np.array([estimate.rho2.value for estimate in simulated(channel)])
-    assert stats.kstest(rho2 * freedom / channel.rho_dB**2, stats.chi2(freedom).cdf).pvalue > 0.01
-
-
-def test_fading_power_standard_error(channel: Channel):
-    estimate = least_squares(noisy(channel), channel)
-    # Of a Gaussian sample's variance: sqrt(2 / degrees of freedom) of it.
-    assert estimate.rho2.std == pytest.approx(estimate.rho2.value * math.sqrt(2.0 / 6.0), rel=1e-12)
-
-
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_too_few_readings_raise(channel: Channel, count: int):
-    readings = Readings(DISTANCE[:count], channel.mean_snr_dB(DISTANCE[:count]))
-    with pytest.raises(UnidentifiableError, match=f"^{count} readings cannot determine .* at least 3"):
-        least_squares(readings, channel)
-
-
-def test_one_distance_raises(channel: Channel):
-    distance = torch.full((5,), 12.5, dtype=torch.float64)
-    with pytest.raises(UnidentifiableError, match=r"all 5 sensors are 12\.5 m from the vehicle"):
-        least_squares(Readings(distance, channel.mean_snr_dB(distance)), channel)
-
-
-def test_two_distances_suffice(channel: Channel):
-    distance = torch.tensor([12.5, 12.5, 12.6], dtype=torch.float64)
-    estimate = least_squares(Readings(distance, channel.mean_snr_dB(distance)), channel)
-    assert estimate.n.value == pytest.approx(channel.n, abs=1e-9)
-
-
-def test_oracle_is_the_truth(channel: Channel):
-    estimate = oracle(noisy(channel), channel)
-    assert estimate.channel == channel
-    assert (estimate.K_dB.value, estimate.n.value) == (channel.K_dB, channel.n)
-    assert estimate.rho2.value == channel.rho_dB**2
-    assert estimate.K_dB.std == estimate.n.std == estimate.rho2.std == 0.0
-    assert not bool(estimate.covariance.any())
+def test_configuration_knows_the_estimators():
+    assert validate.ESTIMATORS == tuple(ESTIMATORS)
 
 
 @pytest.mark.parametrize("name", sorted(ESTIMATORS))
-def test_estimator_contract(name: str, channel: Channel):
-    estimate = ESTIMATORS[name](noisy(channel), channel)
-    variances = [estimate.K_dB.std**2, estimate.n.std**2]
-    assert estimate.covariance.shape == (2, 2)
-    assert estimate.covariance.diagonal().tolist() == pytest.approx(variances, rel=1e-12)
-    assert estimate.K_dB.identifiable
-    assert estimate.n.identifiable
-    assert (estimate.channel.K_dB, estimate.channel.n) == (estimate.K_dB.value, estimate.n.value)
+def test_contract(name: str, channel: Channel):
+    estimate = ESTIMATORS[name](simulate(channel, 12, 3, sets=4), channel)
+    assert [tuple(getattr(estimate, key).shape) for key in TENSORS] == [(4, 5), (4, 5, 5), (4, 5), (4,)]
+    assert estimate.identifiable.dtype == torch.bool
+    assert bool(estimate.identifiable[:, 0].all())
+    assert bool(estimate.value.isfinite().all())
+    assert bool((estimate.value[:, 2:] >= 0.0).all())
+    torch.testing.assert_close(estimate.covariance, estimate.covariance.mT, rtol=1e-9, atol=1e-12)
+    eigenvalues = torch.linalg.eigvalsh(estimate.covariance)
+    assert bool((eigenvalues[:, 0] >= -1e-9 * eigenvalues[:, -1]).all())
+    for k, key in enumerate(NAMES):
+        value, std, identifiable = estimate.parameter(key)
+        variance = estimate.covariance[:, k, k]
+        assert torch.equal(value, estimate.value[:, k])
+        torch.testing.assert_close(std, variance.sqrt() if k < 2 else value * variance.sqrt())
+        assert torch.equal(identifiable, estimate.identifiable[:, k])
+    assert torch.equal(estimate.theta, estimate.value[:, :2])
     # What needs no estimation stays.
-    kept = ("N0_dB", "bandwidth_khz", "absorption", "frequency_khz")
-    assert [getattr(estimate.channel, k) for k in kept] == [getattr(channel, k) for k in kept]
+    told = {"K_dB", "n", "zeta_dB", "varphi_m", "rho_dB"}
+    kept = [field.name for field in fields(Channel) if field.name not in told]
+    assert [getattr(estimate.channel, key) for key in kept] == [getattr(channel, key) for key in kept]
+    assert len(str(estimate).splitlines()) == 4
+
+
+@pytest.mark.parametrize("name", FITTING)
+def test_recovers_exactly_without_noise(name: str, channel: Channel):
+    readings = simulate(replace(channel, zeta_dB=0.0, rho_dB=0.0), 12, 2, sets=2)
+    estimate = FITTING[name](readings, channel)
+    assert estimate.value[:, 0].tolist() == pytest.approx([channel.K_dB] * 2, abs=1e-8)
+    assert estimate.value[:, 1].tolist() == pytest.approx([channel.n] * 2, abs=1e-9)
+    assert float((estimate.value[:, 2] + estimate.value[:, 4]).max()) < 1e-12
+
+
+@pytest.mark.parametrize("messages", [1, 3])
+def test_least_squares_is_numpys(channel: Channel, messages: int):
+    """And its covariance is (H'H)^-1 H' Omega H (H'H)^-1 with the fading it found."""
+    readings = simulate(channel, 12, messages, sets=5)
+    estimate = least_squares(readings, channel)
+    for row in range(5):
+        dense = Dense.of(readings, channel, row)
+        theta = np.linalg.lstsq(dense.H, dense.y)[0]
+        assert estimate.theta[row].tolist() == pytest.approx(theta, rel=1e-10)
+        inverse = np.linalg.inv(dense.H.T @ dense.H)
+        omega = dense.covariance(*estimate.value[row, 2:].tolist())
+        covariance = inverse @ dense.H.T @ omega @ dense.H @ inverse
+        np.testing.assert_allclose(estimate.covariance[row, :2, :2], covariance, rtol=1e-8)
+
+
+@pytest.mark.parametrize("messages", [1, 3])
+def test_one_step_of_generalized_least_squares_is_numpys(channel: Channel, messages: int):
+    """With the moments that ordinary least squares gave."""
+    readings = simulate(channel, 12, messages, sets=5)
+    first, second = least_squares(readings, channel), generalized_least_squares_once(readings, channel)
+    assert torch.equal(first.value[:, 2:], second.value[:, 2:])
+    for row in range(5):
+        theta, covariance = Dense.of(readings, channel, row).theta(*first.value[row, 2:].tolist())
+        assert second.theta[row].tolist() == pytest.approx(theta, rel=1e-9)
+        np.testing.assert_allclose(second.covariance[row, :2, :2], covariance, rtol=1e-7)
+
+
+def test_separate_has_settled(acoustic: Channel):
+    """theta is the generalized least squares of its fading, whose moments are those of what theta leaves."""
+    readings = simulate(acoustic, 30, 3)
+    estimate = separate(readings, acoustic)
+    theta, covariance = Dense.of(readings, acoustic).theta(*estimate.value[0, 2:].tolist())
+    assert estimate.theta[0].tolist() == pytest.approx(theta, rel=1e-9)
+    geometry = geometry_of(readings, acoustic)
+    y = readings.snr + acoustic.known_loss_dB(readings.distance)
+    moments = moment_fit(y - (geometry.H @ estimate.theta[0])[None], geometry)
+    refined, _ = Dense.of(readings, acoustic).theta(*(float(value) for value in moments))
+    assert (np.abs(refined - theta) < 2e-3 * np.sqrt(covariance.diagonal())).all()
+
+
+def test_moments_scale_with_the_residuals(acoustic: Channel):
+    readings = simulate(replace(acoustic, K_dB=0.0, n=1e-9), 40, 2, sets=3)
+    geometry = geometry_of(readings, acoustic)
+    residual = readings.snr + acoustic.known_loss_dB(readings.distance)
+    once, twice = moment_fit(residual, geometry), moment_fit(2.0 * residual, geometry)
+    torch.testing.assert_close(twice.zeta2, 4.0 * once.zeta2)
+    torch.testing.assert_close(twice.varphi, once.varphi)
+    torch.testing.assert_close(twice.rho2, 4.0 * once.rho2)
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_batch_equals_singles(name: str, channel: Channel):
+    readings = simulate(channel, 12, 3, sets=5)
+    together = ESTIMATORS[name](readings, channel)
+    for row in range(5):
+        alone = ESTIMATORS[name](readings.select([row]), channel)
+        same(together.select([row]), alone, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", FITTING)
+def test_a_deaf_sensor_counts_for_nothing(name: str, channel: Channel):
+    readings = simulate(channel, 14, sets=3)
+    deaf = replace(readings, snr=readings.snr.clone())
+    deaf.snr[:, :, [2, 9]] = torch.nan
+    keep = [k for k in range(14) if k not in (2, 9)]
+    fewer = Readings(readings.transmitters, readings.receivers[keep], readings.snr[:, :, keep])
+    same(FITTING[name](deaf, channel), FITTING[name](fewer, channel))
+
+
+def test_product_and_dense_likelihood_agree(acoustic: Channel):
+    """A sensor that hears none of several messages: the same optimum on either way."""
+    readings = simulate(acoustic, 40, 3, sets=3)
+    deaf = replace(readings, snr=readings.snr.clone())
+    deaf.snr[:, :, 7] = torch.nan
+    keep = [k for k in range(40) if k != 7]
+    fewer = Readings(readings.transmitters, readings.receivers[keep], readings.snr[:, :, keep])
+    first, second = maximum_likelihood(deaf, acoustic), maximum_likelihood(fewer, acoustic)
+    torch.testing.assert_close(first.cost, second.cost, rtol=0.0, atol=DECREMENT)
+    errors = second.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
+    assert bool(((first.theta - second.theta).abs() < 3.0 * math.sqrt(DECREMENT) * errors[:, :2]).all())
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_patterns_of_gaps_come_back_in_order(name: str, channel: Channel):
+    readings = with_gaps(simulate(channel, 10, 2, sets=6), 0.2)
+    readings.snr[4] = torch.where(readings.snr[1].isnan(), torch.nan, readings.snr[4].nan_to_num(-3.0))
+    together = ESTIMATORS[name](readings, channel)
+    for row in range(6):
+        same(together.select([row]), ESTIMATORS[name](readings.select([row]), channel), rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", READING)
+def test_uses_only_what_a_vehicle_knows(name: str, channel: Channel):
+    readings = simulate(channel, 12, 2)
+    secret = dict.fromkeys(("K_dB", "n", "zeta_dB", "varphi_m", "rho_dB"), math.nan)
+    blind = ESTIMATORS[name](readings, replace(channel, **secret))
+    informed = ESTIMATORS[name](readings, channel)
+    for key in TENSORS:
+        assert torch.equal(getattr(blind, key), getattr(informed, key))
+
+
+def test_same_readings_give_the_same_bits(channel: Channel):
+    readings = simulate(channel, 12, 2)
+    held, values = [], set()
+    for i in range(100):
+        held.append(torch.zeros(i % 13 + 1))  # moves what is allocated next, as other work in the process does
+        values.add(tuple(least_squares(readings, channel).value[0].tolist()))
+    assert len(values) == 1
+
+
+def test_papers_fading_cannot_be_told_from_one_message(paper: Channel):
+    told = maximum_likelihood(simulate(paper, 16, sets=200), paper).identifiable
+    assert bool(told[:, :2].all())
+    assert float((~told[:, 2:4]).double().mean(0).min()) >= 0.99
+
+
+def test_strong_shadowing_is_told_by_many_readings(acoustic: Channel):
+    estimate = maximum_likelihood(simulate(acoustic, 256, 16, sets=3), acoustic)
+    assert bool(estimate.identifiable.all())
+    assert "unidentifiable" not in str(estimate)
+
+
+def test_unidentified_shadowing_counts_as_multipath(acoustic: Channel):
+    estimate = oracle(simulate(acoustic, 8, sets=3), acoustic)
+    estimate.identifiable[1, 3] = False
+    channel = estimate.channel
+    assert channel.zeta_dB.tolist() == pytest.approx([3.0, 0.0, 3.0])
+    assert channel.rho_dB.tolist() == pytest.approx([1.0, math.sqrt(10.0), 1.0])
+    assert channel.varphi_m.tolist() == [15.0] * 3
+    assert "varphi (m) = unidentifiable" in str(estimate).splitlines()[1]
+
+
+def test_oracle_is_the_truth(channel: Channel):
+    estimate = oracle(simulate(channel, 8, sets=2), channel)
+    truth = [channel.K_dB, channel.n, channel.zeta_dB**2, channel.varphi_m, channel.rho_dB**2]
+    assert estimate.value.tolist() == [truth, truth]
+    assert not bool(estimate.covariance.any())
+    assert bool(estimate.identifiable.all())
+    assert estimate.evaluations == 0
+    assert estimate.channel.zeta_dB.tolist() == pytest.approx([channel.zeta_dB] * 2)
+
+
+def test_disk_is_the_mean_whatever_the_distance(acoustic: Channel):
+    readings = simulate(acoustic, 20, 2, sets=3)
+    estimate = disk(readings, acoustic)
+    y = (readings.snr + acoustic.known_loss_dB(readings.distance)).flatten(1).numpy()
+    assert estimate.value[:, 0].tolist() == pytest.approx(y.mean(-1), rel=1e-12)
+    assert estimate.value[:, 1:3].tolist() == [[0.0, 0.0]] * 3
+    assert estimate.value[:, 4].tolist() == pytest.approx(y.var(-1, ddof=1), rel=1e-12)
+    assert estimate.parameter("K_dB").std.tolist() == pytest.approx(y.std(-1, ddof=1) / math.sqrt(40), rel=1e-12)
+    assert estimate.identifiable.tolist() == [[True, False, False, False, True]] * 3
+    assert torch.equal(estimate.channel.rho_dB, estimate.value[:, 4].sqrt())
+
+
+@pytest.mark.parametrize("name", READING)
+@pytest.mark.parametrize("count", [1, 2])
+def test_too_few_readings_raise(name: str, channel: Channel, count: int):
+    readings = simulate(channel, 9)
+    readings.snr[:, :, count:] = torch.nan
+    with pytest.raises(UnidentifiableError, match=f"^{count} readings cannot determine .* at least 3"):
+        ESTIMATORS[name](readings, channel)
+
+
+@pytest.mark.parametrize("name", READING)
+def test_one_distance_raises(name: str, channel: Channel):
+    transmitter, receivers = places(5, 1, 0)
+    ring = receivers - transmitter
+    ring *= 12.5 / torch.linalg.vector_norm(ring, dim=-1, keepdim=True)
+    readings = Readings(transmitter, transmitter + ring, torch.zeros(1, 1, 5, dtype=torch.float64))
+    with pytest.raises(UnidentifiableError, match=r"all 5 readings are over 12\.5 m"):
+        ESTIMATORS[name](readings, channel)
+
+
+def test_one_bad_data_set_of_many_raises(channel: Channel):
+    readings = simulate(channel, 9, sets=3)
+    readings.snr[1, :, 2:] = torch.nan
+    with pytest.raises(UnidentifiableError, match=r"^2 readings"):
+        maximum_likelihood(readings, channel)
+
+
+def test_estimate_each_vehicle_asks_every_vehicle(make_relay):
+    env = make_relay("scenario.start=[[29,29,0,1],[5,5,-6,0]]", "channel=acoustic_24khz")
+    readings, estimate = estimate_each_vehicle(env, maximum_likelihood)
+    assert len(readings) == len(estimate.value) == 2
+    for vehicle in (0, 1):
+        assert torch.equal(readings[vehicle].snr, take_readings(env, vehicle).snr)
+        same(estimate.select([vehicle]), maximum_likelihood(readings[vehicle], env.channel))

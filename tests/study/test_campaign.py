@@ -1,6 +1,7 @@
 """Campaigns over random layouts: what is counted, and how sure one can be."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -62,7 +63,7 @@ def flown(make_config):
 
 def test_outcomes_are_those_of_single_missions(flown):
     config, env, layouts, policy_in, cost, targets, outcomes = flown
-    common = build.replace(env.scenario, start=layouts.start, obstacles=layouts.obstacles)
+    common = replace(env.scenario, start=layouts.start, obstacles=layouts.obstacles)
     one = env.on(common, env.streams).select(torch.tensor([4]))
     alone = evaluate(one, policy_in(one), cost, targets, one.reset(), build.make_guard(config))
     assert float(outcomes.cost[4]) == pytest.approx(float(alone.cost), rel=1e-9)

@@ -1,28 +1,23 @@
-"""The channel: Thorp's absorption and the paper's capacities to their printed digits, and monotonicity."""
+"""The channel: the paper's capacities to their printed digits, monotonicity, and per-vehicle parameters."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 
 import pytest
 import torch
 
+from uwirl import build
 from uwirl.config.compose import folder
-from uwirl.world.acoustics import Channel, thorp_absorption
+from uwirl.world.absorption import Water, thorp
+from uwirl.world.acoustics import Channel
 
 CHANNELS = sorted(path.stem for path in (folder() / "channel").glob("*.yaml"))
 
 
 @pytest.fixture
 def channel(request: pytest.FixtureRequest, make_config) -> Channel:
-    return Channel(**asdict(make_config(f"channel={request.param}").channel))
-
-
-@pytest.mark.parametrize(("frequency", "printed"), [(1, "0.0690"), (10, "1.187"), (24, "5.691"), (50, "17.467")])
-def test_thorp_printed_values(frequency: float, printed: str):
-    digits = len(printed.split(".")[1])
-    assert f"{thorp_absorption(frequency):.{digits}f}" == printed
+    return build.make_channel(make_config(f"channel={request.param}").channel)
 
 
 # From the start (29.5, 29.5, 0) to the source, and half and a third of the link between (-30, -30) and (30, 30).
@@ -50,7 +45,7 @@ def test_capacity_falls_with_distance(channel: Channel):
 @pytest.mark.parametrize("channel", ["acoustic_24khz"], indirect=True)
 def test_absorption_counts_per_kilometre(channel: Channel):
     near, far = channel.mean_snr_dB(torch.tensor([1000.0, 2000.0], dtype=torch.float64)).tolist()
-    assert near - far == pytest.approx(20.0 * math.log10(2.0) + thorp_absorption(24.0), abs=1e-10)
+    assert near - far == pytest.approx(20.0 * math.log10(2.0) + thorp(24.0, Water()), abs=1e-10)
 
 
 @pytest.mark.parametrize("channel", CHANNELS, indirect=True)
@@ -72,3 +67,23 @@ def test_missing_frequency_raises():
     channel = Channel(K_dB=-60.0, n=2.0, N0_dB=-104.0, bandwidth_khz=6.0, absorption="thorp")
     with pytest.raises(ValueError, match=r"channel\.frequency_khz.*thorp.*kHz"):
         channel.mean_snr_dB(torch.ones(1))
+
+
+@pytest.mark.parametrize("channel", CHANNELS, indirect=True)
+def test_capacity_and_snr_are_inverse(channel: Channel):
+    for snr_dB in (-20.0, 0.0, 17.5, 60.0):
+        capacity = float(channel.capacity_kbps(torch.tensor(snr_dB, dtype=torch.float64)))
+        assert channel.snr_for_dB(capacity) == pytest.approx(snr_dB, abs=1e-10)
+
+
+def test_vehicles_may_have_channels_of_their_own():
+    """Vehicles count on over all worlds: the third is the first one of the second world."""
+    K, n = torch.tensor([-60.0, -50.0]), torch.tensor([2.0, 1.5])
+    channel = Channel(K, n, -104.0, 6.0, zeta_dB=torch.tensor([3.0, 1.0]), rho_dB=1.0)
+    distance = torch.tensor([10.0, 100.0], dtype=torch.float64)
+    assert channel.mean_snr_dB(distance).tolist() == pytest.approx([-60.0 - 20.0 + 104.0, -50.0 - 30.0 + 104.0])
+    picked = channel.of(torch.tensor([1, 2, 3]))
+    assert picked.K_dB.tolist() == [-50.0, -60.0, -50.0]
+    assert picked.n.tolist() == [1.5, 2.0, 1.5]
+    assert picked.zeta_dB.tolist() == [1.0, 3.0, 1.0]
+    assert picked.rho_dB == 1.0

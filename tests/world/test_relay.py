@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from uwirl import build
-from uwirl.world.acoustics import Channel
 from uwirl.world.current import Current
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import DivergedError, Relay
@@ -35,7 +34,7 @@ def env(make_config) -> Relay:
         build.make_scenario(config), source=tensor(SOURCE), destination=tensor(DESTINATION), start=tensor(START)
     )
     streams = RandomStreams.worlds(11, WORLDS)
-    return Relay(scenario, Vehicle(**asdict(config.vehicle)), Channel(**asdict(config.channel)), streams)
+    return Relay(scenario, Vehicle(**asdict(config.vehicle)), build.make_channel(config.channel), streams)
 
 
 def world_alone(env: Relay, i: int) -> Relay:
@@ -146,6 +145,45 @@ def test_even_chain_of_two_reaches_the_papers_capacity(env: Relay):
     links = env.link_capacities_kbps(tensor([[-10.0, -10.0, -8.0], [10.0, 10.0, -8.0]]).expand(WORLDS, 2, 3))
     assert links.shape == (WORLDS, 3)
     assert [f"{c:.3f}" for c in links.flatten().tolist()] == ["91.122"] * (3 * WORLDS)
+
+
+@pytest.fixture
+def shadowed(env: Relay) -> Relay:
+    return Relay(env.scenario, env.vehicle, replace(env.channel, zeta_dB=3.0, varphi_m=15.0), env.streams)
+
+
+def test_shadowed_capacities_by_hand(shadowed: Relay):
+    """The field's ends stand in the order source, destination, vehicles."""
+    position = shadowed.reset().position
+    nodes = [tensor(SOURCE).expand(WORLDS, 3), *position.unbind(-2), tensor(DESTINATION).expand(WORLDS, 3)]
+    links = [(nodes[0], nodes[1]), (nodes[1], nodes[2]), (nodes[3], nodes[2])]
+    expected = []
+    for p, q in links:
+        fading = shadowed.shadowing(p[:, None], q[:, None])[:, 0]
+        snr = shadowed.channel.mean_snr_dB(torch.linalg.vector_norm(p - q, dim=-1)) + fading
+        expected.append(shadowed.channel.capacity_kbps(snr))
+    links = shadowed.link_capacities_kbps(position, shadowed=True)
+    torch.testing.assert_close(links, torch.stack(expected, -1), rtol=1e-12, atol=0.0)
+    assert not bool(torch.isclose(links, shadowed.link_capacities_kbps(position)).any())
+
+
+def test_a_link_has_the_same_shadowing_whenever_it_is_read(shadowed: Relay):
+    position = shadowed.reset().position
+    series = shadowed.link_capacities_kbps(torch.stack([position, position + 1.0, position]), shadowed=True)
+    assert torch.equal(series[0], series[2])
+    assert not bool(torch.isclose(series[0], series[1]).any())
+    # The first link does not feel where the second vehicle is, nor its world how many others there are.
+    other = position.clone()
+    other[:, 1] += 5.0
+    assert torch.equal(shadowed.link_capacities_kbps(other, shadowed=True)[:, 0], series[0, :, 0])
+    alone = shadowed.select(torch.tensor([3])).link_capacities_kbps(position[3:4], shadowed=True)
+    torch.testing.assert_close(alone, series[0, 3:4], rtol=1e-12, atol=0.0)
+
+
+def test_without_shadowing_capacities_are_the_mean(shadowed: Relay):
+    still = Relay(shadowed.scenario, shadowed.vehicle, replace(shadowed.channel, zeta_dB=0.0), shadowed.streams)
+    position = still.reset().position
+    assert torch.equal(still.link_capacities_kbps(position, shadowed=True), still.link_capacities_kbps(position))
 
 
 def test_sensors_follow_the_seed():

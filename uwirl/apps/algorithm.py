@@ -22,9 +22,9 @@ from uwirl.motion.planner import LearningPlanner, Planner
 from uwirl.motion.policy import Policy
 from uwirl.motion.targets import NoTargetError, mean_channel_targets
 from uwirl.snr.estimate import ChannelEstimate
-from uwirl.snr.estimators import UnidentifiableError
-from uwirl.snr.measurements import take_readings
-from uwirl.study import checkpoint, run_folder
+from uwirl.snr.estimators import estimate_each_vehicle
+from uwirl.snr.model import UnidentifiableError
+from uwirl.study import checkpoint, run_folder, shadowing
 from uwirl.study.evaluation import Evaluation, cost_of_weights, evaluate
 from uwirl.study.tensorboard import TensorBoard
 from uwirl.world.relay import DivergedError, Relay
@@ -87,8 +87,9 @@ def _algorithm_1(config: Config, folder: Path) -> dict[str, Any]:
     board = TensorBoard(folder / "tb") if config.logging.tensorboard else None
     env = build.make_relay(config)
 
-    estimate = build.make_estimator(config)(take_readings(env), env.channel)
-    log.info("channel estimate: %s", estimate)
+    readings, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator))
+    for line in str(estimate).splitlines():
+        log.info("channel estimate: %s", line)
     if board:
         board.estimate(estimate)
 
@@ -101,12 +102,13 @@ def _algorithm_1(config: Config, folder: Path) -> dict[str, Any]:
             learned = _learning_metrics(config, planner, records)
             checkpoint.save(folder / "checkpoints" / "last.pt", _checkpoint(config, estimate, records[-1], learned))
         outcomes = campaign(config, lambda worlds: build.policy_in(worlds, config, planner, estimate), folder)
-        return _estimate_metrics(estimate) | learned | outcomes
+        return run_folder.estimate_metrics(estimate) | learned | outcomes
 
     judge = _Judge(config, env)
     evaluation = judge.fly(policy)
     rows = {config.planner.name: evaluation}
-    metrics = _estimate_metrics(estimate) | evaluation.metrics()
+    metrics = run_folder.estimate_metrics(estimate) | evaluation.metrics()
+    metrics |= shadowing.summary(env, evaluation, judge.targets, readings, estimate)
     if isinstance(planner, LearningPlanner) and records:
         start, costs = judge.iterates(planner, records)
         rows = {"start policy": start, **judge.baseline(estimate), **rows}
@@ -182,15 +184,6 @@ class _Judge:
         return {self.config.baseline.name: self.fly(planner.fit(self.env, estimate))}
 
 
-def _estimate_metrics(estimate: ChannelEstimate) -> dict[str, Any]:
-    metrics: dict[str, Any] = {}
-    for name, parameter in (("K_dB", estimate.K_dB), ("n", estimate.n), ("rho2", estimate.rho2)):
-        metrics[f"estimate_{name}"] = parameter.value
-        metrics[f"estimate_{name}_std"] = parameter.std
-        metrics[f"estimate_{name}_identifiable"] = parameter.identifiable
-    return metrics
-
-
 def _learning_metrics(config: Config, planner: LearningPlanner, records: list[IterationRecord]) -> dict[str, Any]:
     last = records[-1]
     return {
@@ -219,7 +212,8 @@ def _checkpoint(
         "vehicle_seconds": record.seconds,
         "critic": record.critic,
         "actor": record.actor,
-        "channel": asdict(estimate.channel),
-        "theta_covariance": estimate.covariance,
+        "estimate": {
+            name: getattr(estimate, name) for name in ("value", "covariance", "identifiable", "cost", "evaluations")
+        },
         "metrics": metrics,
     }

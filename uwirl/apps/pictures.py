@@ -12,7 +12,11 @@ from torch import Tensor
 from uwirl.config.schema import LoggingConfig
 from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.planner import LearningPlanner, Planner
+from uwirl.snr.diagnostics import Diagnostics
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.snr.measurements import Readings
 from uwirl.study.evaluation import Evaluation
+from uwirl.study.snr_map import SnrMap
 from uwirl.world.relay import Relay
 
 log = logging.getLogger("uwirl")
@@ -48,6 +52,25 @@ def layouts(logging_config: LoggingConfig, folder: Path, env: Relay, evaluation:
 
     path = folder / "figures" / "layouts.png"
     figures.save(figures.layouts_figure(env, evaluation, kind), path)
+    log.info("figure: %s", path)
+
+
+def estimate(
+    logging_config: LoggingConfig,
+    folder: Path,
+    readings: Readings,
+    channel: ChannelEstimate,
+    diagnostics: Diagnostics,
+    snr_map: SnrMap,
+    names: tuple[str, ...],
+) -> None:
+    """figures/estimate.png."""
+    if not _possible(logging_config):
+        return
+    from uwirl.study import estimate_figure, figures
+
+    path = folder / "figures" / "estimate.png"
+    figures.save(estimate_figure.estimate_figure(readings, channel, diagnostics, snr_map, names), path)
     log.info("figure: %s", path)
 
 

@@ -11,12 +11,10 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, one_line
 from uwirl.config import compose
 from uwirl.config.schema import register
 from uwirl.config.validate import ConfigError, validate
-
-BAD_CONFIGURATION = 2
-FAILED = 1
 
 
 def main() -> None:
@@ -38,7 +36,7 @@ def main() -> None:
             config = compose.to_config(composed)
             validate(config)
         except (ConfigError, OmegaConfBaseException) as error:
-            print(f"uwirl: {_one_line(error)}", file=sys.stderr)
+            print(f"uwirl: {one_line(error)}", file=sys.stderr)
             failures.append(str(error))
             return
         metrics = run(config, runtime.choices["experiment"], Path(runtime.output_dir))
@@ -54,15 +52,8 @@ def _check(overrides: list[str]) -> None:
     try:
         validate(compose.compose(overrides))
     except (HydraException, OmegaConfBaseException, ValueError) as error:
-        print(f"uwirl: {_one_line(error)}", file=sys.stderr)
+        print(f"uwirl: {one_line(error)}", file=sys.stderr)
         sys.exit(BAD_CONFIGURATION)
-
-
-def _one_line(error: BaseException) -> str:
-    """The message, with the first line of what caused it, which is where Hydra puts the reason."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    cause = str(error.__cause__).splitlines()[:1] if error.__cause__ else []
-    return "; ".join(lines + [line for line in cause if line not in lines])
 
 
 if __name__ == "__main__":

@@ -26,9 +26,18 @@ def compose(overrides: Sequence[str] = ()) -> Config:
         hydra.errors.HydraException, omegaconf.errors.OmegaConfBaseException: unknown keys, groups or types.
     """
     register()
+    return to_config(composed("config", overrides))
+
+
+def composed(name: str, overrides: Sequence[str]) -> DictConfig:
+    """A primary configuration, whose schema is registered, with overrides.
+
+    Raises:
+        hydra.errors.HydraException, omegaconf.errors.OmegaConfBaseException: unknown keys, groups or types.
+    """
     GlobalHydra.instance().clear()
     with hydra.initialize_config_dir(str(folder()), version_base="1.3"):
-        return to_config(hydra.compose("config", list(overrides)))
+        return hydra.compose(name, list(overrides))
 
 
 def to_config(composed: DictConfig) -> Config:

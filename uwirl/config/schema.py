@@ -37,6 +37,8 @@ class ScenarioConfig:
     sensors: Any = MISSING  # a number, spread by the seed, or a list of [x, y, z] in m
     obstacles: list[ObstacleConfig] = field(default_factory=list)
     layouts: LayoutsConfig | None = None
+    hearing_range_m: float = MISSING  # of acoustic messages
+    message_period_s: float = MISSING
     detection_range_m: float = MISSING  # from hull to hull; .inf where the map is known
     current_mps: list[float] = MISSING  # mean of the ocean current, inertial [x, y, z]
     current_std_mps: float = MISSING  # of its Gauss-Markov part, each horizontal component
@@ -48,14 +50,27 @@ class ScenarioConfig:
 
 
 @dataclass
+class WaterConfig:
+    """Read by the absorption laws francois_garrison and, but for salinity and acidity, fisher_simmons."""
+
+    temperature_C: float = 10.0
+    salinity_ppt: float = 35.0
+    depth_m: float = 0.0
+    pH: float = 8.0
+
+
+@dataclass
 class ChannelConfig:
-    K_dB: float = MISSING
+    K_dB: float = MISSING  # the source level in dB re 1 uPa at 1 m, if N0_dB is the noise level in dB re 1 uPa
     n: float = MISSING
     N0_dB: float = MISSING
     bandwidth_khz: float = MISSING
-    absorption: str = MISSING  # none | thorp
+    absorption: str = MISSING  # none | thorp | francois_garrison | fisher_simmons
     frequency_khz: float | None = MISSING  # null with absorption none
-    rho_dB: float = MISSING
+    zeta_dB: float = MISSING  # standard deviation of shadowing
+    varphi_m: float = MISSING  # its correlation distance
+    rho_dB: float = MISSING  # standard deviation of multipath
+    water: WaterConfig = field(default_factory=lambda: WaterConfig())
 
 
 @dataclass
@@ -72,7 +87,9 @@ class VehicleConfig:
 
 @dataclass
 class EstimatorConfig:
-    name: str = MISSING  # least_squares | oracle
+    # least_squares | generalized_least_squares | separate | maximum_likelihood | disk | oracle
+    name: str = MISSING
+    robust: bool = False  # leave out readings and sensors that stand apart from the others
 
 
 @dataclass

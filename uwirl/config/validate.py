@@ -15,6 +15,9 @@ from uwirl.config.world_rules import (
     check_vehicle,
 )
 
+# Those of uwirl.snr.estimators, which needs torch; a test compares them.
+ESTIMATORS = ("least_squares", "generalized_least_squares", "separate", "maximum_likelihood", "disk", "oracle")
+
 __all__ = ["ConfigError", "validate"]
 
 
@@ -29,7 +32,7 @@ def validate(config: Config) -> None:
     check_vehicle(config.vehicle, config.scenario.dt_s)
     check_layouts(config.scenario)
     check_current(config.scenario, config.vehicle)
-    one_of(config.estimator.name, "estimator.name", ("least_squares", "oracle"))
+    one_of(config.estimator.name, "estimator.name", ESTIMATORS)
     one_of(config.basis.name, "basis.name", ("link_frame", "geodesic", "error_quadratic", "error_velocity"))
     if config.basis.name in ("link_frame", "geodesic"):
         scales = config.basis.length_scales_m

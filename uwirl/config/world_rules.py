@@ -16,7 +16,10 @@ from uwirl.config.schema import (
 
 # Of the real axis that classical RK4 integrates stably, |lambda dt| < 2.785.
 RK4_STABILITY = 2.785
-# Those of uwirl.world.layouts, which needs torch; a test compares them.
+# Those of uwirl.world.absorption and uwirl.world.layouts, which need torch; a test compares them.
+ABSORPTION = ("none", "thorp", "francois_garrison", "fisher_simmons")
+# Where the absorption laws were measured.
+WATER = {"temperature_C": (-2.0, 35.0), "salinity_ppt": (0.0, 45.0), "depth_m": (0.0, 11_000.0), "pH": (7.0, 9.0)}
 LAYOUT_KINDS = ("sparse", "random", "overlapping", "dead_end", "ring", "moving")
 
 
@@ -50,6 +53,9 @@ def check_scenario(scenario: ScenarioConfig) -> None:
     positive(scenario.dt_s, "scenario.dt_s")
     steps(scenario.duration_s, scenario.dt_s, "scenario.duration_s")
     positive(scenario.vehicle_radius_m, "scenario.vehicle_radius_m")
+    if not scenario.hearing_range_m > 0.0:
+        raise ConfigError("scenario.hearing_range_m", f"must be greater than 0, got {scenario.hearing_range_m:g}")
+    steps(scenario.message_period_s, scenario.dt_s, "scenario.message_period_s")
     check_sensors(scenario)
 
 
@@ -168,9 +174,15 @@ def check_channel(channel: ChannelConfig) -> None:
     positive(channel.n, "channel.n")
     positive(channel.bandwidth_khz, "channel.bandwidth_khz")
     positive(channel.rho_dB, "channel.rho_dB", zero=True)
-    one_of(channel.absorption, "channel.absorption", ("none", "thorp"))
+    positive(channel.zeta_dB, "channel.zeta_dB", zero=True)
+    positive(channel.varphi_m, "channel.varphi_m")
+    one_of(channel.absorption, "channel.absorption", ABSORPTION)
     if channel.absorption == "none" and channel.frequency_khz is not None:
         raise ConfigError("channel.frequency_khz", "has no effect without absorption; set channel.absorption=thorp too")
+    for key, (low, high) in WATER.items():
+        value = getattr(channel.water, key)
+        if not low <= value <= high:
+            raise ConfigError(f"channel.water.{key}", f"must lie in [{low:g}, {high:g}], got {value:g}")
     if channel.absorption != "none":
         if channel.frequency_khz is None:
             raise ConfigError("channel.frequency_khz", f"absorption {channel.absorption} needs a frequency in kHz")

@@ -77,6 +77,7 @@ class RelayCost:
         one = copy(self)
         vehicle = vehicle % self.neighbours.shape[-3]
         one.neighbours, one.minimum = self.neighbours[vehicle], self.minimum[vehicle]
+        one.channel = self.channel.of(vehicle)
         return one
 
     def obstacle(self, obstacles: Obstacles, position: Tensor, time: Tensor | float = 0.0) -> Tensor:

@@ -40,10 +40,11 @@ def mean_channel_targets(scenario: Scenario, channel: Channel) -> ChainTargets:
     M = scenario.vehicles
     span = scenario.destination - scenario.source
     hop = torch.linalg.vector_norm(span) / (M + 1)
-    near, far = channel.mean_snr_dB(torch.stack([0.5 * hop, hop]))
-    if not bool(near > far):
+    near, far = channel.mean_snr_dB(torch.stack([0.5 * hop, hop])[:, None])
+    if not bool((near > far).all()):
+        n = float(torch.as_tensor(channel.n).min())
         raise NoTargetError(
-            f"estimator: the estimated SNR does not fall with distance (n = {float(channel.n):.3g}), so "
+            f"estimator: the estimated SNR does not fall with distance (n = {n:.3g}), so "
             "there is no best relay position; use more sensors or more widely spread ones (scenario.sensors)"
         )
     fraction = torch.arange(1, M + 1, dtype=span.dtype, device=span.device) / (M + 1)

@@ -2,48 +2,92 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor
 
 from uwirl.world.acoustics import Channel
 
+NAMES = ("K_dB", "n", "zeta2", "varphi_m", "rho2")
+_TENSORS = ("value", "covariance", "identifiable", "cost")
 
-@dataclass(frozen=True)
-class Parameter:
-    """One estimated channel parameter.
+
+class Parameter(NamedTuple):
+    """One channel parameter of B data sets.
 
     Attributes:
-        value: the estimate, or None where the data cannot tell.
-        std: its standard error; 0 if known exactly, None if unidentifiable.
+        value: [B].
+        std: standard error, [B].
+        identifiable: whether the readings tell it, bool [B]; where not, the other two mean nothing.
     """
 
-    value: float | None
-    std: float | None
-
-    @property
-    def identifiable(self) -> bool:
-        return self.value is not None
-
-    def __str__(self) -> str:
-        return "unidentifiable" if self.value is None else f"{self.value:.4g} +- {self.std:.2g}"
+    value: Tensor
+    std: Tensor
+    identifiable: Tensor
 
 
 @dataclass(frozen=True)
 class ChannelEstimate:
-    """Estimate of one vehicle's channel.
+    """Estimates of the channel from B data sets, of one vehicle each.
 
     Attributes:
-        channel: the channel with its estimated K, n and rho in place, which stage 2 plans on.
-        K_dB, n, rho2: the parameters, with standard errors.
-        covariance: of theta = (K, n), [2, 2].
+        known: what was known of the channel.
+        value: K (dB), n, zeta^2 (dB^2), varphi (m), rho^2 (dB^2), [B, 5].
+        covariance: of K, n and the logarithms of the other three, [B, 5, 5].
+        identifiable: which of them the readings tell, bool [B, 5].
+        cost: negative log likelihood less m/2 ln(2 pi), [B].
+        evaluations: of the cost.
     """
 
-    channel: Channel
-    K_dB: Parameter
-    n: Parameter
-    rho2: Parameter
+    known: Channel
+    value: Tensor
     covariance: Tensor
+    identifiable: Tensor
+    cost: Tensor
+    evaluations: int
+
+    def parameter(self, name: str) -> Parameter:
+        """One of NAMES."""
+        k = NAMES.index(name)
+        std = self.covariance[:, k, k].sqrt()
+        # To first order a logarithm's standard error is a relative one.
+        return Parameter(self.value[:, k], std if k < 2 else self.value[:, k] * std, self.identifiable[:, k])
+
+    @property
+    def theta(self) -> Tensor:
+        """K and n, [B, 2]."""
+        return self.value[:, :2]
+
+    @property
+    def channel(self) -> Channel:
+        """The channel with its estimated values in place, [B] each, which stage 2 plans on.
+
+        Shadowing that cannot be told from multipath counts as such.
+        """
+        K, n, zeta2, varphi, rho2 = self.value.unbind(-1)
+        told = self.identifiable[:, 2] & self.identifiable[:, 3]
+        zeta, rho = torch.where(told, zeta2, 0.0).sqrt(), torch.where(told, rho2, zeta2 + rho2).sqrt()
+        return replace(self.known, K_dB=K, n=n, zeta_dB=zeta, varphi_m=varphi, rho_dB=rho)
+
+    def select(self, rows: Tensor) -> ChannelEstimate:
+        """Those of some data sets, by a mask or numbers."""
+        tensors: dict[str, Any] = {name: getattr(self, name)[rows] for name in _TENSORS}
+        return replace(self, **tensors)
+
+    @classmethod
+    def join(cls, parts: list[ChannelEstimate]) -> ChannelEstimate:
+        """Estimates of several vehicles, one after the other."""
+        joined: dict[str, Any] = {name: torch.cat([getattr(part, name) for part in parts]) for name in _TENSORS}
+        return replace(parts[0], **joined, evaluations=max(part.evaluations for part in parts))
 
     def __str__(self) -> str:
-        return ", ".join(f"{name} = {p}" for name, p in (("K (dB)", self.K_dB), ("n", self.n), ("rho^2", self.rho2)))
+        lines = []
+        for b in range(len(self.value)):
+            texts = []
+            for name, symbol in zip(NAMES, ("K (dB)", "n", "zeta^2", "varphi (m)", "rho^2"), strict=True):
+                value, std, identifiable = (float(x[b]) for x in self.parameter(name))
+                texts.append(f"{symbol} = " + (f"{value:.4g} +- {std:.2g}" if identifiable else "unidentifiable"))
+            lines.append(", ".join(texts))
+        return "\n".join(lines)

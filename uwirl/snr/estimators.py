@@ -1,77 +1,207 @@
-"""Estimators of the channel from readings; one interface, `estimate(readings, known) -> ChannelEstimate`."""
+"""Estimators of the channel from readings; one interface, `estimate(readings, known) -> ChannelEstimate`.
+
+Each takes B data sets read at the same places, of which any readings may be missing.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Protocol
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
 
 import torch
+from torch import Tensor
 
-from uwirl.snr.estimate import ChannelEstimate, Parameter
-from uwirl.snr.measurements import Readings
+from uwirl.snr import likelihood
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.snr.information import Derivatives
+from uwirl.snr.likelihood import MAX_ENTRIES, ordinary
+from uwirl.snr.measurements import Readings, take_readings
+from uwirl.snr.model import Fading, Geometry, Spectrum, generalized_least_squares, observations
+from uwirl.snr.moments import moment_fit
 from uwirl.world.acoustics import Channel
+from uwirl.world.relay import Relay
 
-
-class UnidentifiableError(ValueError):
-    """The readings cannot determine the path loss."""
+# Of a logarithm over all fading that the readings allow: beyond a factor of two either way nothing is told.
+TOLD = 0.75
+# `separate` stops when theta moves less than this many of its standard errors, or after so many rounds.
+SETTLED, ROUNDS = 1e-3, 20
 
 
 class Estimator(Protocol):
     """Estimates (K, n) and the fading.
 
     Args:
-        readings: one snapshot.
+        readings: B data sets.
         known: the channel, of which only what a vehicle knows beforehand (N0, bandwidth, absorption) may be used.
+
+    Raises:
+        UnidentifiableError: fewer than three readings, or all over one distance.
     """
 
     def __call__(self, readings: Readings, known: Channel) -> ChannelEstimate: ...
 
 
-def least_squares(readings: Readings, known: Channel) -> ChannelEstimate:
-    """Ordinary least squares of Y + epsilon = H theta + fading, H = [1, -10 log10 d]    (10).
+def estimate_each_vehicle(env: Relay, estimator: Estimator) -> tuple[list[Readings], ChannelEstimate]:
+    """Stage 1 in the first world: each vehicle's readings, and what it estimates from them, [M] data sets."""
+    readings = [take_readings(env, vehicle) for vehicle in range(env.scenario.vehicles)]
+    return readings, ChannelEstimate.join([estimator(data, env.channel) for data in readings])
 
-    The fading's power is the unbiased residual variance, with the standard error of a Gaussian sample's variance.
 
-    Raises:
-        UnidentifiableError: fewer than three readings, or all from one distance, which leaves the slope undetermined.
+class Solution(NamedTuple):
+    """What an estimator finds in b data sets of which the same readings are there.
+
+    Attributes:
+        theta: [b, 2].
+        theta_covariance: [b, 2, 2].
+        fading: [b] each.
+        fading_covariance: of the logarithms, [b, 3, 3].
+        cost: negative log likelihood less m/2 ln(2 pi), [b].
+        told: whether the readings tell the fading, bool [b, 3].
+        evaluations: of the cost.
     """
-    count = len(readings.distance)
-    if count < 3:
-        raise UnidentifiableError(f"{count} readings cannot determine K, n and the fading: at least 3 are needed")
-    log_distance = -10.0 * torch.log10(readings.distance)
-    if float(log_distance.max() - log_distance.min()) < 1e-9:
-        raise UnidentifiableError(
-            f"all {count} sensors are {float(readings.distance[0]):g} m from the vehicle: "
-            "K and n cannot be told apart from one distance"
-        )
-    H = torch.stack([torch.ones_like(log_distance), log_distance], -1)
-    y = readings.snr + known.known_loss_dB(readings.distance)
-    # gels, because the last bits of the default driver depend on where in memory the data lie.
-    theta = torch.linalg.lstsq(H, y[:, None], driver="gels").solution[:, 0]
-    residual = y - H @ theta
-    freedom = count - 2
-    rho2 = residual.square().sum() / freedom
-    covariance = rho2 * torch.linalg.inv(H.T @ H)
-    K, n = theta.tolist()
-    K_std, n_std = covariance.diagonal().sqrt().tolist()
+
+    theta: Tensor
+    theta_covariance: Tensor
+    fading: Fading
+    fading_covariance: Tensor
+    cost: Tensor
+    told: Tensor
+    evaluations: int
+
+
+def _estimator(solve: Callable[[Tensor, Geometry], Solution]) -> Estimator:
+    """From a function of complete observations [b, S, N] and their geometry."""
+
+    def estimate(readings: Readings, known: Channel) -> ChannelEstimate:
+        rows, parts = [], []
+        for group, y, geometry in observations(readings, known):
+            # Covariance matrices of all data sets of a chunk live at once.
+            chunk = max(1, MAX_ENTRIES // (geometry.spacing.numel() + geometry.apart.numel() + geometry.readings))
+            rows.append(group)
+            parts += [_channel_estimate(solve(part, geometry), known) for part in y.split(chunk)]
+        return ChannelEstimate.join(parts).select(torch.cat(rows).argsort())
+
+    return estimate
+
+
+def _channel_estimate(solution: Solution, known: Channel) -> ChannelEstimate:
+    covariance = solution.theta.new_zeros(len(solution.theta), 5, 5)
+    covariance[:, :2, :2], covariance[:, 2:, 2:] = solution.theta_covariance, solution.fading_covariance
     return ChannelEstimate(
-        channel=replace(known, K_dB=K, n=n, rho_dB=float(rho2.sqrt())),
-        K_dB=Parameter(K, K_std),
-        n=Parameter(n, n_std),
-        rho2=Parameter(float(rho2), float(rho2) * (2.0 / freedom) ** 0.5),
+        known=known,
+        value=torch.cat([solution.theta, torch.stack(list(solution.fading), -1)], -1),
         covariance=covariance,
+        identifiable=torch.cat([torch.ones_like(solution.told[:, :2]), solution.told], -1),
+        cost=solution.cost,
+        evaluations=solution.evaluations,
     )
+
+
+def _residual(y: Tensor, H: Tensor, theta: Tensor) -> Tensor:
+    return y - (H @ theta[:, None, :, None])[..., 0]
+
+
+def _judged(y: Tensor, geometry: Geometry, theta: Tensor, covariance: Tensor, fading: Fading, rounds: int) -> Solution:
+    """A theta and the fading fitted to what it leaves, with the bound as its covariance."""
+    residual = _residual(y, geometry.H, theta)
+    spectrum = Spectrum.of(geometry, fading.varphi)
+    derivatives = Derivatives.of(geometry, spectrum, fading)
+    W = derivatives.W
+    cost = 0.5 * ((W * spectrum.rotate(residual).square()).sum((-2, -1)) - W.log().sum((-2, -1)))
+    bound = torch.linalg.pinv(derivatives.information(), hermitian=True)
+    profile = likelihood.profile(residual, geometry)
+    _, spread = likelihood.averaged(profile, torch.zeros_like(theta), geometry.readings)
+    return Solution(theta, covariance, fading, bound, cost, spread < TOLD, rounds)
+
+
+def _least_squares(y: Tensor, geometry: Geometry) -> Solution:
+    theta = ordinary(y, geometry.H)
+    fading = moment_fit(_residual(y, geometry.H, theta), geometry)
+    # (H'H)^-1 H' Omega H (H'H)^-1: shadowing makes readings alike, so that they tell less than independent ones.
+    spectrum = Spectrum.of(geometry, fading.varphi)
+    H = spectrum.rotate_design(geometry.H).flatten(-3, -2)
+    omega = fading.zeta2[:, None] * spectrum.eigenvalues.flatten(-2) + fading.rho2[:, None]
+    inverse = torch.linalg.inv(H.mT @ H)
+    covariance = inverse @ (H.mT @ (omega[..., None] * H)) @ inverse
+    return _judged(y, geometry, theta, covariance, fading, 1)
+
+
+def _refined(y: Tensor, geometry: Geometry, fading: Fading) -> tuple[Tensor, Tensor]:
+    """theta [b, 2] by generalized least squares with this fading, and its covariance."""
+    spectrum = Spectrum.of(geometry, fading.varphi)
+    W = 1.0 / (fading.zeta2[:, None, None] * spectrum.eigenvalues + fading.rho2[:, None, None])
+    theta, information, _ = generalized_least_squares(spectrum.rotate(y), spectrum.rotate_design(geometry.H), W)
+    return theta, torch.linalg.inv(information)
+
+
+def _alternating(y: Tensor, geometry: Geometry, rounds: int) -> Solution:
+    """Moments of what theta leaves, then theta by generalized least squares with those, and so on."""
+    theta = ordinary(y, geometry.H)
+    fading = moment_fit(_residual(y, geometry.H, theta), geometry)
+    before, (theta, covariance) = theta, _refined(y, geometry, fading)
+    moving, spent = torch.arange(len(y), device=y.device), 1
+    while spent < rounds:
+        std = covariance[moving].diagonal(dim1=-2, dim2=-1).sqrt()
+        moving = moving[((theta[moving] - before[moving]).abs() > SETTLED * std).any(-1)]
+        if not len(moving):
+            break
+        before = theta.clone()
+        renewed = moment_fit(_residual(y[moving], geometry.H, theta[moving]), geometry)
+        theta[moving], covariance[moving] = _refined(y[moving], geometry, renewed)
+        for old, new in zip(fading, renewed, strict=True):
+            old[moving] = new
+        spent += 1
+    return _judged(y, geometry, theta, covariance, fading, spent)
+
+
+def _maximum_likelihood(y: Tensor, geometry: Geometry) -> Solution:
+    fit = likelihood.fit(y, geometry)
+    fading = Fading(*fit.log_fading.exp().unbind(-1))
+    bound = torch.linalg.pinv(fit.information, hermitian=True)
+    told = fit.spread < TOLD
+    return Solution(fit.theta, fit.theta_covariance, fading, bound, fit.cost, told, fit.evaluations)
+
+
+def _disk(y: Tensor, geometry: Geometry) -> Solution:
+    theta = torch.stack([y.mean((-2, -1)), torch.zeros_like(y[:, 0, 0])], -1)
+    power = (y - theta[:, :1, None]).square().sum((-2, -1)) / (geometry.readings - 1)
+    covariance = torch.zeros_like(theta[..., None] * theta[:, None])
+    covariance[:, 0, 0] = power / geometry.readings
+    none, any_distance = torch.zeros_like(power), torch.ones_like(power)
+    relative = torch.diag_embed(torch.stack([none, none, torch.full_like(none, 2.0 / (geometry.readings - 1))], -1))
+    cost = 0.5 * (geometry.readings * power.log() + geometry.readings - 1)
+    told = torch.tensor([False, False, True], device=y.device).expand(len(y), 3)
+    return Solution(theta, covariance, Fading(none, any_distance, power), relative, cost, told, 1)
+
+
+def disk(readings: Readings, known: Channel) -> ChannelEstimate:
+    """One SNR wherever something is heard, whatever the distance: what the paper argues against."""
+    estimate = _estimator(_disk)(readings, known)
+    estimate.identifiable[:, 1] = False
+    return estimate
 
 
 def oracle(readings: Readings, known: Channel) -> ChannelEstimate:
     """The truth, for ablations."""
-    return ChannelEstimate(
-        channel=known,
-        K_dB=Parameter(float(known.K_dB), 0.0),
-        n=Parameter(float(known.n), 0.0),
-        rho2=Parameter(known.rho_dB**2, 0.0),
-        covariance=torch.zeros(2, 2, dtype=torch.float64),
-    )
+    truth = [known.K_dB, known.n, known.zeta_dB**2, known.varphi_m, known.rho_dB**2]
+    value = torch.tensor(truth, dtype=torch.float64, device=readings.snr.device).repeat(len(readings.snr), 1)
+    nothing = torch.zeros_like(value[:, 0])
+    return ChannelEstimate(known, value, value.new_zeros(len(value), 5, 5), value > -torch.inf, nothing, 0)
 
 
-ESTIMATORS: dict[str, Estimator] = {"least_squares": least_squares, "oracle": oracle}
+# Ordinary least squares, then moments: [29].
+least_squares = _estimator(_least_squares)
+# One more step: theta again, with the fading that the moments gave.
+generalized_least_squares_once = _estimator(lambda y, geometry: _alternating(y, geometry, 1))
+# The three phases of [42], which the paper improves on: path loss, then fading, and both in turn until they settle.
+separate = _estimator(lambda y, geometry: _alternating(y, geometry, ROUNDS))
+maximum_likelihood = _estimator(_maximum_likelihood)
+
+ESTIMATORS: dict[str, Estimator] = {
+    "least_squares": least_squares,
+    "generalized_least_squares": generalized_least_squares_once,
+    "separate": separate,
+    "maximum_likelihood": maximum_likelihood,
+    "disk": disk,
+    "oracle": oracle,
+}

@@ -12,17 +12,19 @@ from typing import Any
 import numpy as np
 from omegaconf import OmegaConf
 
+from uwirl.config.estimate_schema import EstimateConfig
 from uwirl.config.schema import Config
+from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.evaluation import Evaluation
 
 
-def config_hash(config: Config) -> str:
+def config_hash(config: Config | EstimateConfig) -> str:
     """Hash of everything that changes the result: not of logging."""
     relevant = {key: value for key, value in asdict(config).items() if key != "logging"}
     return hashlib.sha256(json.dumps(relevant, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def write_config(folder: Path, config: Config) -> None:
+def write_config(folder: Path, config: Config | EstimateConfig) -> None:
     """config.yaml, resolved."""
     (folder / "config.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(asdict(config))))
 
@@ -40,6 +42,19 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def estimate_metrics(estimate: ChannelEstimate) -> dict[str, Any]:
+    """Its parameters as entries of metrics.json: a number, or a list of one for each data set."""
+    metrics: dict[str, Any] = {}
+    for name in NAMES:
+        parameter = estimate.parameter(name)
+        told = parameter.identifiable.tolist()
+        # What cannot be told is no number.
+        values, stds = ([x if t else None for x, t in zip(xs.tolist(), told, strict=True)] for xs in parameter[:2])
+        for key, row in (("", values), ("_std", stds), ("_identifiable", told)):
+            metrics[f"estimate_{name}{key}"] = row[0] if len(row) == 1 else row
+    return metrics
 
 
 def write_trajectory(folder: Path, evaluation: Evaluation) -> None:

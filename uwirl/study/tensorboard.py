@@ -8,7 +8,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.features import AXES, MotionBasis
-from uwirl.snr.estimate import ChannelEstimate
+from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.evaluation import Evaluation
 
 
@@ -23,11 +23,12 @@ class TensorBoard:
         self.writer = SummaryWriter(str(folder))
 
     def estimate(self, estimate: ChannelEstimate) -> None:
-        """Stage 1's parameters, one point each."""
-        for tag, parameter in (("K_dB", estimate.K_dB), ("n", estimate.n), ("rho2_dB2", estimate.rho2)):
-            if parameter.value is not None and parameter.std is not None:
-                self.writer.add_scalar(f"snr/{tag}", parameter.value, 0)
-                self.writer.add_scalar(f"snr/{tag}_std", parameter.std, 0)
+        """Stage 1's parameters, one point for each vehicle."""
+        for name, tag in zip(NAMES, ("K_dB", "n", "zeta2_dB2", "varphi_m", "rho2_dB2"), strict=True):
+            for vehicle, (value, std, identifiable) in enumerate(zip(*estimate.parameter(name), strict=True)):
+                if identifiable:
+                    self.writer.add_scalar(f"snr/{tag}", value, vehicle)
+                    self.writer.add_scalar(f"snr/{tag}_std", std, vehicle)
 
     def iteration(self, record: IterationRecord, basis: MotionBasis) -> None:
         """Weights of the first learner over policy iterations."""

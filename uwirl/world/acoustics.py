@@ -3,40 +3,35 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
-
-def thorp_absorption(frequency_khz: float) -> float:
-    """Absorption a(f) in dB/km under (6), Thorp's law, with f in kHz.
-
-    a(f) = 0.11 f^2/(1 + f^2) + 44 f^2/(4100 + f^2) + 2.75e-4 f^2 + 0.003
-    """
-    f2 = frequency_khz**2
-    return 0.11 * f2 / (1.0 + f2) + 44.0 * f2 / (4100.0 + f2) + 2.75e-4 * f2 + 0.003
-
-
-ABSORPTION_LAWS = {"thorp": thorp_absorption}
+from uwirl.world.absorption import ABSORPTION_LAWS, Water
 
 
 @dataclass(frozen=True)
 class Channel:
-    """Mean (path-loss) channel of one acoustic link and the power of its multipath.
+    """Mean (path-loss) channel of acoustic links, and the statistics of their fading.
 
     SNR_dB(l) = K - 10 n log10(l) - (l / 1000) a(f) - N0           (6) without its random terms
     C(l) = B log2(1 + 10^(SNR_dB / 10))                            (7), (8)
 
-    The paper multiplies a(f), which is in dB/km, by metres; here the distance is divided by 1000.
+    The paper multiplies a(f), which is in dB/km, by metres; here the distance is divided by 1000. K is the source level
+    in dB re 1 uPa at 1 m where N0 is the noise level in the band, in dB re 1 uPa.
 
     Attributes:
-        K_dB: transmission constant, dB; a number, or a tensor where worlds differ (an estimate).
+        K_dB: transmission constant, dB; a number, or [M] where vehicles differ (estimates).
         n: spreading exponent, likewise.
         N0_dB: noise level, dB.
         bandwidth_khz: B, kHz, so that capacities are in kbit/s.
         absorption: name of an absorption law, or "none".
         frequency_khz: f, kHz; only with an absorption law.
+        water: which absorbs.
+        zeta_dB: standard deviation of shadowing, Gaussian in dB; see `uwirl.world.fading`.
+        varphi_m: its correlation distance, m.
         rho_dB: standard deviation of multipath, Gaussian in dB.
     """
 
@@ -46,15 +41,18 @@ class Channel:
     bandwidth_khz: float
     absorption: str = "none"
     frequency_khz: float | None = None
-    rho_dB: float = 0.0
+    water: Water = field(default_factory=Water)
+    zeta_dB: float | Tensor = 0.0
+    varphi_m: float | Tensor = math.inf
+    rho_dB: float | Tensor = 0.0
 
-    @property
+    @cached_property
     def absorption_dB_per_km(self) -> float:
         if self.absorption == "none":
             return 0.0
         if self.frequency_khz is None:
             raise ValueError(f"channel.frequency_khz: absorption={self.absorption} needs a frequency in kHz")
-        return ABSORPTION_LAWS[self.absorption](self.frequency_khz)
+        return ABSORPTION_LAWS[self.absorption](self.frequency_khz, self.water)
 
     def known_loss_dB(self, distance_m: Tensor) -> Tensor:
         """epsilon under (10): noise and absorption, the part of (6) that needs no estimation, dB."""
@@ -62,7 +60,9 @@ class Channel:
 
     def mean_snr_dB(self, distance_m: Tensor) -> Tensor:
         """Path-loss SNR of (6), dB, same shape as the distance in m."""
-        return self.K_dB - 10.0 * self.n * torch.log10(distance_m) - self.known_loss_dB(distance_m)
+        # Estimates are float64 whatever the environment's dtype.
+        K, n = (x.to(distance_m) if isinstance(x, Tensor) else x for x in (self.K_dB, self.n))
+        return K - 10.0 * n * torch.log10(distance_m) - self.known_loss_dB(distance_m)
 
     def capacity_kbps(self, snr_dB: Tensor) -> Tensor:
         """Shannon capacity (7) of an SNR in dB, kbit/s."""
@@ -71,3 +71,22 @@ class Channel:
     def mean_capacity_kbps(self, distance_m: Tensor) -> Tensor:
         """Capacity of path loss alone over a distance in m, kbit/s."""
         return self.capacity_kbps(self.mean_snr_dB(distance_m))
+
+    def of(self, vehicle: Tensor) -> Channel:
+        """The channel of some vehicles, by their numbers [K], which count on over all worlds."""
+
+        def own(value: float | Tensor) -> float | Tensor:
+            return value[vehicle % len(value)] if isinstance(value, Tensor) else value
+
+        return replace(
+            self,
+            K_dB=own(self.K_dB),
+            n=own(self.n),
+            zeta_dB=own(self.zeta_dB),
+            varphi_m=own(self.varphi_m),
+            rho_dB=own(self.rho_dB),
+        )
+
+    def snr_for_dB(self, capacity_kbps: float) -> float:
+        """The SNR in dB that carries a capacity in kbit/s: the inverse of (7)."""
+        return 10.0 * math.log10(math.expm1(math.log(2.0) * capacity_kbps / self.bandwidth_khz))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from uwirl.world.acoustics import Channel
+from uwirl.world.fading import Shadowing, ShadowingField
 from uwirl.world.random import RandomStreams
 from uwirl.world.scenario import Scenario
 from uwirl.world.vehicle import Vehicle, VehicleState
@@ -80,6 +82,11 @@ class Relay:
     def worlds(self) -> int:
         return len(self.streams.seed)
 
+    @cached_property
+    def shadowing(self) -> ShadowingField:
+        """Of each world's links, from their ends [..., B, *, 3] in the order of the field."""
+        return Shadowing(float(self.channel.zeta_dB), float(self.channel.varphi_m)).realise(self.streams)
+
     def reset(self) -> VehicleState:
         """All worlds at the scenario's start, at rest, [8, B, M] underneath."""
         start = self.scenario.start
@@ -146,7 +153,18 @@ class Relay:
         ends = self.scenario.source.expand(shape), self.scenario.destination.expand(shape)
         return torch.cat([ends[0], position, ends[1]], -2)
 
-    def link_capacities_kbps(self, position: Tensor) -> Tensor:
-        """Mean capacity of each link, [..., M + 1], of vehicles at [..., M, 3]; the chain's is their minimum (5)."""
-        hop = torch.linalg.vector_norm(self.chain(position).diff(dim=-2), dim=-1)
-        return self.channel.mean_capacity_kbps(hop)
+    def link_capacities_kbps(self, position: Tensor, shadowed: bool = False) -> Tensor:
+        """Capacity of each link, [..., M + 1], of vehicles at [..., M, 3]; the chain's is their minimum (5).
+
+        Args:
+            position: [..., M, 3], or [..., B, M, 3] where shadowed, m.
+            shadowed: whether of path loss and shadowing, or of path loss alone, the mean capacity.
+        """
+        chain = self.chain(position)
+        snr = self.channel.mean_snr_dB(torch.linalg.vector_norm(chain.diff(dim=-2), dim=-1))
+        if shadowed:
+            # The field's ends stand in the order source < destination < vehicles.
+            first, second = chain[..., :-1, :].clone(), chain[..., 1:, :].clone()
+            first[..., -1, :], second[..., -1, :] = chain[..., -1, :], chain[..., -2, :]
+            snr = snr + self.shadowing(first, second).to(snr.dtype)
+        return self.channel.capacity_kbps(snr)

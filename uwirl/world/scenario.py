@@ -25,10 +25,12 @@ class Scenario:
         obstacles: as named.
         current: of the ocean.
         depth: of the water, m: a vehicle's centre stays in -depth <= z <= 0.
+        hearing_range: distance from which a message is still heard, m.
         detection_range: horizontal distance from hull to hull at which a vehicle detects an obstacle, m (Definition 1);
             infinite where the map is known.
         vehicle_radius: m.
         dt: integration step, s.
+        message_period: time between messages, s: fading in flight is read when one is sent.
         duration: length of a mission, s.
     """
 
@@ -39,9 +41,11 @@ class Scenario:
     obstacles: Obstacles
     current: Current
     depth: float
+    hearing_range: float
     detection_range: float
     vehicle_radius: float
     dt: float
+    message_period: float
     duration: float
 
     @property

@@ -89,7 +89,7 @@ class Collocation:
         """beta_1/C^2 - beta_1/C_max^2 of each vehicle's link with its node [M, 3]."""
         ca, cost, channel = self.ca, self.cost, self.cost.channel
         values = (torch.as_tensor(value, dtype=torch.float64) for value in (channel.K_dB, channel.n))
-        K, n = (float(of_world(value, 0, self.world)) for value in values)
+        K, n = (self._always(value.expand(self.M)) for value in values)
         squared = sum((self.x[k] - self._always(node[:, k])) ** 2 for k in range(3))
         hop = ca.sqrt(squared + ROUNDING_M**2)
         snr = K - 10.0 * n * ca.log10(hop) - channel.known_loss_dB(hop)

@@ -1,0 +1,66 @@
+"""What stage 2 is made of, from settings: cost, guard, guidance."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from uwirl.config.schema import (
+    BarrierGuardConfig,
+    Config,
+    CostConfig,
+    EnergyGuardConfig,
+    GeodesicConfig,
+    GuardConfig,
+    PrintedCostConfig,
+)
+from uwirl.motion.avoidance import Avoidance, Printed, remark_2, smooth
+from uwirl.motion.barrier import BarrierGuard
+from uwirl.motion.cost import RelayCost
+from uwirl.motion.guidance import Geodesic, Guidance, straight
+from uwirl.motion.route import MapSettings
+from uwirl.motion.safety import EnergyGuard, Guard, unguarded
+from uwirl.motion.targets import ChainTargets
+from uwirl.world.acoustics import Channel
+
+
+def make_cost(config: CostConfig, channel: Channel, targets: ChainTargets, tau_max: Tensor) -> RelayCost:
+    """The running cost on a channel: the estimate to learn from, the truth to be judged by."""
+    avoidance: Avoidance = smooth
+    if isinstance(config, PrintedCostConfig):
+        avoidance = Printed(*remark_2(config.left_m, config.right_m, config.kappa_1, config.kappa_2))
+    return RelayCost(
+        channel, targets.neighbours, config.beta_1, config.beta_2, config.yaw_weight, config.R, tau_max, avoidance
+    )
+
+
+def make_guard(config: Config) -> Guard:
+    """What stands between policy and thrusters."""
+    safety = config.safety
+    if isinstance(safety, BarrierGuardConfig):
+        u, v, w = safety.inertia_kg
+        return BarrierGuard(safety.margin_m, safety.separation_m, safety.k_1, safety.k_0, (u, v, w))
+    if not isinstance(safety, EnergyGuardConfig):
+        return unguarded
+    return EnergyGuard(
+        safety.margin_m,
+        safety.separation_m,
+        safety.alpha,
+        safety.mass_upper_kg,
+        safety.mass_lower_kg,
+        safety.brake_force_N,
+    )
+
+
+def make_guidance(config: Config) -> Guidance:
+    """How missions are led to their targets."""
+    guidance = config.guidance
+    if not isinstance(guidance, GeodesicConfig):
+        return straight
+    return Geodesic(
+        guidance.gain,
+        guidance.lateral_damping,
+        guidance.heading_stiffness,
+        guidance.heading_damping,
+        config.safety.margin_m if isinstance(config.safety, GuardConfig) else 0.0,
+        MapSettings(guidance.spacing_m, guidance.exponent, guidance.hard_clearance_m),
+    )

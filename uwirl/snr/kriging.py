@@ -1,0 +1,124 @@
+"""Kriging (32): SNR, its uncertainty and capacity of links that nobody has measured.
+
+    mean = h' theta - epsilon + k' Omega^-1 (Y + epsilon - H theta)
+    variance = zeta^2 - k' Omega^-1 k + d' (H' Omega^-1 H)^-1 d,   d = h - H' Omega^-1 k
+
+where k is the covariance (see `uwirl.world.fading`) of the link with each reading, over both ends. The last term is the
+uncertainty of theta itself (universal kriging); without it this is the Gaussian process of a known mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from uwirl.snr.measurements import Readings
+from uwirl.world.acoustics import Channel
+from uwirl.world.fading import distances
+
+# Beyond, the covariance of the readings alone takes more than 0.8 GB, and its factor as much.
+MAX_READINGS = 10_000
+# Entries of a chunk's covariance with the readings: 2 MB, which caches hold.
+CHUNK_ENTRIES = 2**18
+
+
+class Kriging:
+    """The SNR that readings let expect of other links.
+
+    Args:
+        readings: one data set.
+        channel: its parameters, numbers or of one element each: usually an estimate's.
+        trend: whether variances count the uncertainty of theta.
+
+    Raises:
+        ValueError: more than one data set, or more readings than memory holds.
+        torch.linalg.LinAlgError: readings of the same link without multipath.
+    """
+
+    def __init__(self, readings: Readings, channel: Channel, trend: bool = True):
+        if len(readings.snr) != 1:
+            raise ValueError(f"kriging takes one data set, got {len(readings.snr)}")
+        heard = ~readings.snr[0].isnan()
+        transmitter, receiver = heard.nonzero().unbind(-1)
+        if len(transmitter) > MAX_READINGS:
+            raise ValueError(f"{len(transmitter):,} readings exceed the {MAX_READINGS:,} that memory holds; thin them")
+        self.channel, self.trend = channel, trend
+        self.zeta2, self.varphi, self.rho2, theta_K, theta_n = (
+            torch.as_tensor(x, dtype=readings.snr.dtype, device=readings.snr.device).reshape(())
+            for x in (channel.zeta_dB**2, channel.varphi_m, channel.rho_dB**2, channel.K_dB, channel.n)
+        )
+        self.theta = torch.stack([theta_K, theta_n])
+        self.first, self.second = readings.transmitters[transmitter], readings.receivers[receiver]
+        distance = torch.linalg.vector_norm(self.first - self.second, dim=-1)
+        omega = self._covariance(self.first, self.second)
+        omega.diagonal().add_(self.rho2)
+        self.factor = torch.linalg.cholesky(omega)
+        H = _design(distance)
+        y = readings.snr[0][heard] + channel.known_loss_dB(distance)
+        # L^-1 of the residual and of H, [m, 3], with Omega = L L'.
+        residual = (y - H @ self.theta)[:, None]
+        self.whitened = torch.linalg.solve_triangular(self.factor, torch.cat([residual, H], -1), upper=False)
+        self.theta_covariance = torch.linalg.inv(self.whitened[:, 1:].mT @ self.whitened[:, 1:])
+        self.alpha = torch.linalg.solve_triangular(self.factor.mT, self.whitened[:, :1], upper=True)[:, 0]
+
+    def _covariance(self, first: Tensor, second: Tensor) -> Tensor:
+        """Of shadowing over links [Q] with that over the readings' links, [Q, m]."""
+        # Often all share an end: then one distance to each reading serves all.
+        apart = distances(first[:1] if bool((first == first[:1]).all()) else first, self.first)
+        return distances(second, self.second).add_(apart).div_(-self.varphi).exp_().mul_(self.zeta2)
+
+    def predict(self, first: Tensor, second: Tensor, multipath: bool = False) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation of the SNR, [Q] each, dB.
+
+        Args:
+            first, second: ends of the links in the order of the field, [3] or [Q, 3], m.
+            multipath: whether of a reading, or of the link's shadowed SNR.
+        """
+        parts = [self._predict(*ends) for ends in self._chunks(first, second)]
+        mean, variance = (torch.cat(pieces) for pieces in zip(*parts, strict=True))
+        return mean, (variance.clamp_min(0.0) + (self.rho2 if multipath else 0.0)).sqrt()
+
+    def mean(self, first: Tensor, second: Tensor) -> Tensor:
+        """The mean alone, [Q], dB, at a small part of the cost: for searches."""
+        return torch.cat(
+            [self._trend(*ends)[0] + self._covariance(*ends) @ self.alpha for ends in self._chunks(first, second)]
+        )
+
+    def _chunks(self, first: Tensor, second: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+        count = max(len(end) if end.ndim == 2 else 1 for end in (first, second))
+        first, second = (end.to(self.theta).expand(count, 3) for end in (first, second))
+        chunk = max(1, CHUNK_ENTRIES // len(self.first))
+        return zip(first.split(chunk), second.split(chunk), strict=True)
+
+    def _trend(self, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
+        """h' theta - epsilon, [Q], and h, [Q, 2]."""
+        distance = torch.linalg.vector_norm(first - second, dim=-1)
+        h = _design(distance)
+        return h @ self.theta - self.channel.known_loss_dB(distance), h
+
+    def _predict(self, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
+        (trend, h), k = self._trend(first, second), self._covariance(first, second)
+        white = torch.linalg.solve_triangular(self.factor, k.mT, upper=False)
+        projected = white.mT @ self.whitened
+        mean = trend + projected[:, 0]
+        variance = self.zeta2 - white.square_().sum(0)
+        if self.trend:
+            d = h - projected[:, 1:]
+            variance = variance + ((d @ self.theta_covariance) * d).sum(-1)
+        return mean, variance
+
+    def outage(self, first: Tensor, second: Tensor, capacity_kbps: float) -> Tensor:
+        """Probability, [Q], that a link carries less than a capacity in kbit/s, multipath aside."""
+        mean, std = self.predict(first, second)
+        return torch.special.ndtr((self.channel.snr_for_dB(capacity_kbps) - mean) / std)
+
+    def relay(self, source: Tensor, destination: Tensor, position: Tensor) -> Tensor:
+        """Capacity of the worse link of a relay at [Q, 3] between two nodes [3], at the mean SNR, [Q], kbit/s."""
+        links = [self.mean(node, position) for node in (source, destination)]
+        return self.channel.capacity_kbps(torch.minimum(*links))
+
+
+def _design(distance: Tensor) -> Tensor:
+    return torch.stack([torch.ones_like(distance), -10.0 * torch.log10(distance)], -1)

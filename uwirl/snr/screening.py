@@ -1,0 +1,59 @@
+"""Readings that do not belong: outliers, and sensors that lie.
+
+Both are held against the repeated median line (A. F. Siegel: "Robust regression using repeated medians", Biometrika
+69(1), 242-244, 1982), of which almost half the readings may be wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from uwirl.snr.measurements import Readings
+from uwirl.world.acoustics import Channel
+
+# Robust standard deviations beyond which a reading or a sensor is not believed; few of them make the scale uncertain.
+CUT, FEW = 4.0, 5.0
+# Partners of each reading: more would make the line no better, and take memory.
+PARTNERS = 1000
+# A sensor's median says nothing of its honesty if it has fewer readings, nor if fewer sensors stand beside it.
+LEAST = 3
+# Scales below this are roundoff, dB.
+ROUNDOFF_DB = 1e-6
+
+
+def repeated_median(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """Slope and intercept of y [n] over x [n]."""
+    partner = torch.linspace(0, len(x) - 1, min(len(x), PARTNERS), device=x.device).round().long()
+    run = x[:, None] - x[partner]
+    slopes = torch.where(run.abs() > 1e-9, (y[:, None] - y[partner]) / run, torch.nan)
+    slope = slopes.nanmedian(-1).values.nanmedian()
+    return slope, (y - slope * x).median()
+
+
+def unlike(values: Tensor) -> Tensor:
+    """Which of the values [n] stand apart from most, bool; nan stands nowhere."""
+    count = int((~values.isnan()).sum())
+    deviation = (values - values.nanmedian()).abs()
+    scale = (1.4826 * deviation.nanmedian()).clamp_min(ROUNDOFF_DB)
+    return deviation > CUT * (1.0 + FEW / max(count, 1)) * scale
+
+
+def screen(readings: Readings, known: Channel) -> Readings:
+    """The same readings, with nan instead of those that are not believed."""
+    distance = readings.distance
+    log_distance = -10.0 * torch.log10(distance)
+    kept = []
+    for data in readings.snr + known.known_loss_dB(distance):
+        heard = ~data.isnan()
+        slope, intercept = repeated_median(log_distance[heard], data[heard])
+        residual = data - slope * log_distance - intercept
+        refused = unlike(residual.flatten()).view_as(heard)
+        often = heard.sum(0) >= LEAST
+        if int(often.sum()) >= LEAST:
+            typical = torch.where(often, residual.nanmedian(0).values, torch.nan)
+            refused |= unlike(typical)
+        kept.append(torch.where(refused, torch.nan, data))
+    return replace(readings, snr=torch.stack(kept) - known.known_loss_dB(distance))

@@ -1,0 +1,106 @@
+"""What `uwirl-estimate` tells: a table of the channel, its diagnostics, and a sentence where something looks wrong."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from torch import Tensor
+
+from uwirl.snr.diagnostics import Diagnostics
+from uwirl.snr.estimate import NAMES, ChannelEstimate
+from uwirl.snr.intervals import intervals
+
+LABELS = ("K (dB)", "n", "zeta^2 (dB^2)", "varphi (m)", "rho^2 (dB^2)")
+# A good log is called wrong so rarely, by each judgement.
+DOUBT = 0.001
+# Below so many readings moments say nothing.
+LEAST = 20
+
+
+def table(estimate: ChannelEstimate, readings: int) -> Iterator[str]:
+    """Lines of a table of the parameters of one data set."""
+    ends = intervals(estimate, readings)[0]
+    yield f"{'parameter':<14} {'estimate':>10} {'std error':>10} {'95 % interval':>22}"
+    for name, label, (low, high) in zip(NAMES, LABELS, ends.tolist(), strict=True):
+        value, std, told = (x.item() for x in estimate.parameter(name))
+        if told:
+            yield f"{label:<14} {value:>10.4g} {std:>10.2g} {f'{low:.4g} .. {high:.4g}':>22}"
+        else:
+            yield f"{label:<14} {'unidentifiable':>21}"
+
+
+def diagnostic_metrics(diagnostics: Diagnostics, line: Tensor, names: tuple[str, ...]) -> dict[str, Any]:
+    """Entries of metrics.json.
+
+    Args:
+        diagnostics: of m readings.
+        line: of the file, of each reading, [m].
+        names: of the sensors, [N].
+    """
+    worst, sensor = diagnostics.worst, diagnostics.worst_sensor
+    return {
+        "residual_rms": diagnostics.rms,
+        "residual_beyond_3": diagnostics.beyond_3,
+        "residual_worst": float(diagnostics.standardized[worst]),
+        "residual_worst_dB": float(diagnostics.residual[worst]),
+        "residual_worst_line": int(line[worst]),
+        "residual_skewness": diagnostics.skewness,
+        "residual_excess_kurtosis": diagnostics.excess_kurtosis,
+        "residual_normality_p": diagnostics.normality_p,
+        "leave_one_out_rmse_dB": diagnostics.rmse_dB,
+        "leave_one_out_rmse_path_loss_dB": diagnostics.path_loss_rmse_dB,
+        "sensor_worst": None if sensor is None else names[sensor],
+        "sensor_worst_mean_dB": None if sensor is None else float(diagnostics.sensor_mean[sensor]),
+        "sensor_worst_standardized": None if sensor is None else float(diagnostics.sensor_standardized[sensor]),
+    }
+
+
+def diagnosis(metrics: dict[str, Any], readings: int, sensors: int) -> Iterator[str]:
+    """Lines on what `diagnostic_metrics` found."""
+    kriged, loss = metrics["leave_one_out_rmse_dB"], metrics["leave_one_out_rmse_path_loss_dB"]
+    yield f"each reading predicted by the others: off by {kriged:.3g} dB rms, {loss:.3g} dB by path loss alone"
+    moments = (
+        f"; skewness {metrics['residual_skewness']:+.2f}, excess kurtosis {metrics['residual_excess_kurtosis']:+.2f}"
+        if readings >= LEAST
+        else ""
+    )
+    yield (
+        f"in standard deviations: {metrics['residual_rms']:.3g} rms (1 if the model holds), "
+        f"{100.0 * metrics['residual_beyond_3']:.3g} % beyond 3 (0.27), worst {metrics['residual_worst']:+.2f} on line "
+        f"{metrics['residual_worst_line']}{moments}"
+    )
+    if metrics["sensor_worst"] is not None:
+        yield (
+            f"farthest off of the sensors: {metrics['sensor_worst']}, {metrics['sensor_worst_mean_dB']:+.3g} dB on "
+            f"average ({metrics['sensor_worst_standardized']:+.2f} standard deviations)"
+        )
+    found = list(_suspicions(metrics, readings, sensors))
+    yield from found or ["nothing looks wrong" if readings >= LEAST else "too few readings to tell what is wrong"]
+
+
+def _suspicions(metrics: dict[str, Any], readings: int, sensors: int) -> Iterator[str]:
+    line, off, p = metrics["residual_worst_line"], metrics["residual_worst"], metrics["residual_normality_p"]
+    if _beyond(off, readings):
+        yield (
+            f"line {line} does not belong: {metrics['residual_worst_dB']:+.1f} dB, {off:+.1f} standard deviations; "
+            "correct or remove it, or set estimator.robust=true"
+        )
+    if metrics["sensor_worst"] is not None and _beyond(metrics["sensor_worst_standardized"], sensors):
+        yield (
+            f"sensor {metrics['sensor_worst']} does not agree with the others: {metrics['sensor_worst_mean_dB']:+.1f} "
+            "dB on average; check its position, gain and noise"
+        )
+    if readings >= LEAST and p < DOUBT:
+        yield f"residuals are not normal (p = {p:.1g}): intervals and outage are less sure than they look"
+    rms = metrics["residual_rms"]
+    # Of n independent ones the root mean square has standard deviation 1 / sqrt(2 n).
+    if abs(rms - 1.0) > max(0.1, 4.0 / math.sqrt(2.0 * readings)):
+        more = "more" if rms > 1.0 else "less"
+        yield f"residuals scatter {more} than the fitted fading says: {rms:.2f} of its standard deviations"
+
+
+def _beyond(z: float, count: int) -> bool:
+    """Whether the largest of so many normal numbers would be so large less often than DOUBT."""
+    return count * math.erfc(abs(z) / math.sqrt(2.0)) < DOUBT

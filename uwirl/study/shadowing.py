@@ -1,0 +1,91 @@
+"""What shadowing does to a mission, and how well it was foreseen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from uwirl.motion.shadowed_targets import shadowed_targets
+from uwirl.motion.targets import ChainTargets
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.snr.kriging import Kriging
+from uwirl.snr.measurements import Readings
+from uwirl.study.evaluation import Evaluation
+from uwirl.world.relay import Relay
+
+# Of the map on which predictions are compared with the truth.
+MAP_SPACING_M = 2.0
+
+
+def true_snr(env: Relay, first: Tensor, second: Tensor) -> Tensor:
+    """Shadowed SNR of links with ends [Q, 3] in the order of the field, in the first world, [Q], dB."""
+    distance = torch.linalg.vector_norm(first - second, dim=-1)
+    return env.channel.mean_snr_dB(distance) + env.shadowing(first[None], second[None])[0]
+
+
+def shadowed_capacities(env: Relay, evaluation: Evaluation, targets: ChainTargets) -> dict[str, float]:
+    """The chain's capacity with path loss and shadowing, at the start, at the end and at most, entries of metrics.json.
+
+    Args:
+        env: of one world.
+        evaluation: the mission.
+        targets: of the mean channel.
+    """
+    best = shadowed_targets(env.scenario, lambda p, q: true_snr(env, p, q), targets.frame.target)
+    flown = evaluation.trajectory.eta[[0, -1], :, :, :3]
+    start, end = env.link_capacities_kbps(flown, shadowed=True)[:, 0].amin(-1).tolist()
+    optimal = float(env.link_capacities_kbps(best[None], shadowed=True).amin())
+    # The search ends at a spacing; a vehicle that has come to rest on a peak is part of it.
+    return {
+        "capacity_initial_kbps": start,
+        "capacity_final_kbps": end,
+        "capacity_optimal_kbps": max(start, end, optimal),
+    }
+
+
+def map_grid(env: Relay, spacing_m: float = MAP_SPACING_M) -> tuple[Tensor, Tensor]:
+    """Axes x [X] and y [Y] of a horizontal map between and around the nodes, m: as wide as sensors are spread."""
+    ends = torch.stack([env.scenario.source, env.scenario.destination]).double()
+    margin = 0.25 * torch.linalg.vector_norm(ends[0] - ends[1])
+    low, high = ends.amin(0) - margin, ends.amax(0) + margin
+    x, y = (torch.arange(float(low[k]), float(high[k]) + 1e-9, spacing_m, dtype=torch.float64) for k in range(2))
+    return x.to(ends.device), y.to(ends.device)
+
+
+def map_rmse_dB(env: Relay, readings: Readings, estimate: ChannelEstimate) -> float:
+    """Root mean square error of the kriged SNR from source and destination to a map at their mean depth, dB.
+
+    Args:
+        env: with the truth, of one world.
+        readings: one vehicle's.
+        estimate: its channel.
+    """
+    kriging = Kriging(readings, estimate.channel)
+    nodes = [env.scenario.source.double(), env.scenario.destination.double()]
+    depth = float(0.5 * (nodes[0][2] + nodes[1][2]))
+    places = torch.cartesian_prod(*map_grid(env))
+    places = torch.nn.functional.pad(places, (0, 1), value=depth)
+    errors = []
+    for node in nodes:
+        away = places[torch.linalg.vector_norm(places - node, dim=-1) > 0.5 * MAP_SPACING_M]
+        truth = true_snr(env, node.expand_as(away), away)
+        errors.append(kriging.mean(node, away) - truth)
+    return float(torch.cat(errors).square().mean().sqrt())
+
+
+def map_targets(env: Relay, kriging: Kriging, targets: ChainTargets) -> Tensor:
+    """Where a map puts the vehicles, [M, 3], m."""
+    return shadowed_targets(env.scenario, kriging.mean, targets.frame.target)
+
+
+def summary(
+    env: Relay, evaluation: Evaluation, targets: ChainTargets, readings: list[Readings], estimate: ChannelEstimate
+) -> dict[str, Any]:
+    """All of these, entries of metrics.json."""
+    metrics: dict[str, Any] = shadowed_capacities(env, evaluation, targets)
+    one = torch.arange(len(readings), device=env.scenario.source.device)
+    rmse = [map_rmse_dB(env, data, estimate.select(one[i : i + 1])) for i, data in enumerate(readings)]
+    metrics["snr_map_rmse_dB"] = rmse[0] if len(rmse) == 1 else rmse
+    return metrics
