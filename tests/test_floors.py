@@ -12,7 +12,18 @@ import uwirl
 ROOT = Path(uwirl.__file__).parent
 MODULES = sorted(path.relative_to(ROOT.parent) for path in ROOT.rglob("*.py"))
 # irl and world share a floor, so neither may import the other.
-FLOORS = {"config": 0, "irl": 1, "world": 1, "snr": 2, "motion": 3, "envs": 4, "study": 5, "build": 6, "apps": 7}
+FLOORS = {
+    "config": 0,
+    "irl": 1,
+    "world": 1,
+    "snr": 2,
+    "motion": 3,
+    "envs": 4,
+    "study": 5,
+    "builders": 6,
+    "build": 7,
+    "apps": 8,
+}
 
 
 def imports(source: str, package: tuple[str, ...]) -> set[str]:

@@ -12,10 +12,16 @@ from omegaconf import OmegaConf
 
 from uwirl.apps import algorithm
 from uwirl.config.validate import validate
+from uwirl.snr.estimate import NAMES
 from uwirl.study import checkpoint, run_folder
 
 SHORT = ("planner.max_time_s=24", "scenario.duration_s=5")
 MISSION = ("capacity_initial_mean_kbps", "capacity_final_mean_kbps", "capacity_optimal_mean_kbps")
+SHADOWED = ("capacity_initial_kbps", "capacity_final_kbps", "capacity_optimal_kbps", "snr_map_rmse_dB")
+ESTIMATE = [f"estimate_{name}{kind}" for name in NAMES for kind in ("", "_std", "_identifiable")]
+# Ten messages after the first, no pictures.
+QUIET = ("logging.figures=false", "logging.tensorboard=false", "logging.animation=false", "logging.progress=false")
+QUICK = ("experiment=fig5_free", "planner=pd", "scenario.duration_s=5", *QUIET)
 
 
 @pytest.fixture
@@ -43,7 +49,16 @@ def test_metrics_file_is_flat_json(complete):
     written = json.loads((folder / "metrics.json").read_text())
     assert written["status"] == "complete"
     assert written["error"] is None
-    assert {"experiment", "config_hash", "seed", "uwirl_version", "wall_time_s", *MISSION} < written.keys()
+    assert {
+        "experiment",
+        "config_hash",
+        "seed",
+        "uwirl_version",
+        "wall_time_s",
+        *MISSION,
+        *SHADOWED,
+        *ESTIMATE,
+    } < written.keys()
     assert not any(isinstance(value, dict) for value in written.values())
     assert len(written["cost_per_iteration"]) == written["policy_iterations"] == 8
     assert written["learning_vehicle_seconds"] == 24.0
@@ -69,8 +84,14 @@ def test_trajectory_file(complete):
         "nu": (101, 1, 4),
         "tau": (100, 1, 4),
         "link_capacity_kbps": (101, 2),
+        "message_time_s": (11,),
+        "link_capacity_shadowed_kbps": (11, 2),
     }
     assert data["link_capacity_kbps"][-1].tolist() == metrics["link_capacity_final_kbps"]
+    assert data["message_time_s"].tolist() == pytest.approx([0.5 * k for k in range(11)])
+    first, last = data["link_capacity_shadowed_kbps"][[0, -1]].min(-1).tolist()
+    assert first == pytest.approx(metrics["capacity_initial_kbps"], rel=1e-12)
+    assert last == pytest.approx(metrics["capacity_final_kbps"], rel=1e-12)
 
 
 def test_checkpoint_holds_the_learned_weights(complete):
@@ -98,6 +119,47 @@ def test_planner_that_does_not_learn(run):
     assert "policy_iterations" not in metrics
     assert not (folder / "checkpoints").exists()
     assert not (folder / "tb").exists()
+
+
+def test_two_vehicles_estimate_one_channel_each(run):
+    _, metrics, folder = run(*QUICK, "scenario.start=[[5,5,-6,0],[29.5,29.5,0,1]]")
+    written = json.loads((folder / "metrics.json").read_text())
+    assert written["status"] == "complete"
+    assert all(len(written[key]) == 2 for key in (*ESTIMATE, "snr_map_rmse_dB"))
+    assert written["estimate_K_dB"] == metrics["estimate_K_dB"]
+    assert written["estimate_K_dB"][0] != written["estimate_K_dB"][1]
+    # The paper's shadowing is too weak to be told.
+    assert written["estimate_zeta2"] == written["estimate_zeta2_std"] == [None, None]
+    assert np.load(folder / "trajectory.npz")["link_capacity_shadowed_kbps"].shape == (11, 3)
+
+
+def test_without_fading_nothing_is_left_to_estimate(run):
+    """The oracle and a channel of path loss alone: both kinds of capacity are the same."""
+    _, metrics, _ = run(*QUICK, "channel.zeta_dB=0", "channel.rho_dB=0", "estimator=oracle")
+    assert (metrics["status"], metrics["error"]) == ("complete", None)
+    assert (metrics["estimate_K_dB"], metrics["estimate_n"]) == (-60.0, 5.0)
+    assert [metrics[key] for key in SHADOWED[:3]] == pytest.approx([metrics[key] for key in MISSION], rel=1e-9)
+    assert metrics["snr_map_rmse_dB"] < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("override", "error"),
+    [
+        ("estimator=disk", "NoTargetError: estimator: the estimated SNR does not fall with distance (n = 0)"),
+        ("scenario.hearing_range_m=1", "UnidentifiableError: nothing was heard: no sensor is within scenario.hearing"),
+        # Only the first hears the vehicle, and neither source nor destination.
+        (
+            "scenario.sensors=[[29.5,29.5,-1],[0,0,-8],[-9,-9,-8]] scenario.hearing_range_m=5",
+            "UnidentifiableError: 1 readings cannot determine K, n and the fading: at least 3 are needed",
+        ),
+    ],
+)
+def test_readings_that_allow_no_plan_fail_and_say_so(run, override: str, error: str):
+    _, _, folder = run(*QUICK, *override.split())
+    written = json.loads((folder / "metrics.json").read_text())
+    assert written["status"] == "failed"
+    assert written["error"].startswith(error)
+    assert not (folder / "trajectory.npz").exists()
 
 
 def test_inadmissible_start_fails_and_says_so(run):

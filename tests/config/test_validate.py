@@ -69,6 +69,8 @@ RULES = [
     (SENSORS.format("7"), "scenario.sensors[2]", "needs 3 finite numbers, got 7"),
     (SENSORS.format("[a,b,c]"), "scenario.sensors[2]", "needs 3 finite numbers"),
     (SENSORS.format("[29.5,29.5,0]"), "scenario.sensors[2]", "lies on vehicle 0"),
+    (SENSORS.format("[-30,-30,-8]"), "scenario.sensors[2]", "lies on the source"),
+    (SENSORS.format("[30,30,-8]"), "scenario.sensors[2]", "lies on the destination"),
     (
         "scenario.start=[[0,0,-5,0]] scenario.sensors=[[2,0,-5],[0,2,-5],[0,0,-7]]",
         "scenario.sensors",

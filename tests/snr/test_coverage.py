@@ -73,7 +73,7 @@ def test_path_loss_from_sixty_four_readings(channel: Channel):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("sensors", "sets", "layouts"), [(64, 4_000, 20), (256, 1_000, 5)])
+@pytest.mark.parametrize(("sensors", "sets", "layouts"), [(64, 4_000, 20), (256, 2_000, 20)])
 def test_path_loss(channel: Channel, sensors: int, sets: int, layouts: int):
     result = pooled(maximum_likelihood, channel, sensors, 1, sets, layouts)
     coverage = result.coverage(student_t(sensors))[:2]

@@ -108,7 +108,7 @@ def _algorithm_1(config: Config, folder: Path) -> dict[str, Any]:
     evaluation = judge.fly(policy)
     rows = {config.planner.name: evaluation}
     metrics = run_folder.estimate_metrics(estimate) | evaluation.metrics()
-    metrics |= shadowing.summary(env, evaluation, judge.targets, readings, estimate)
+    metrics |= shadowing.summary(env, evaluation.trajectory, judge.targets, readings, estimate)
     if isinstance(planner, LearningPlanner) and records:
         start, costs = judge.iterates(planner, records)
         rows = {"start policy": start, **judge.baseline(estimate), **rows}
@@ -118,11 +118,12 @@ def _algorithm_1(config: Config, folder: Path) -> dict[str, Any]:
         checkpoint.save(folder / "checkpoints" / "last.pt", _checkpoint(config, estimate, records[-1], metrics))
         if board:
             board.cost_per_iteration(costs)
-    run_folder.write_trajectory(folder, evaluation)
+    messages = shadowing.messages(env, evaluation.trajectory)
+    run_folder.write_trajectory(folder, evaluation, messages)
     if board:
         board.evaluation(evaluation)
         board.close()
-    pictures.mission(config.logging, folder, env, evaluation, records, planner)
+    pictures.mission(config.logging, folder, env, evaluation, messages, records, planner)
     for line in table(rows):
         log.info("%s", line)
     return metrics

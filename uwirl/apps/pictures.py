@@ -16,6 +16,7 @@ from uwirl.snr.diagnostics import Diagnostics
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.measurements import Readings
 from uwirl.study.evaluation import Evaluation
+from uwirl.study.shadowing import Messages
 from uwirl.study.snr_map import SnrMap
 from uwirl.world.relay import Relay
 
@@ -27,6 +28,7 @@ def mission(
     folder: Path,
     env: Relay,
     evaluation: Evaluation,
+    messages: Messages,
     records: Sequence[IterationRecord],
     planner: Planner,
 ) -> None:
@@ -37,7 +39,7 @@ def mission(
 
     basis = planner.basis if isinstance(planner, LearningPlanner) else None
     path = folder / "figures" / "mission.png"
-    figures.save(figures.mission_figure(env.scenario, evaluation, records, basis), path)
+    figures.save(figures.mission_figure(env.scenario, evaluation, messages, records, basis), path)
     log.info("figure: %s", path)
     if logging_config.animation:
         animation.save(env.scenario, evaluation, path.with_suffix(".gif"))

@@ -154,11 +154,14 @@ def check_sensors(scenario: ScenarioConfig) -> None:
         raise ConfigError(key, f"{len(sensors)} sensors cannot determine K, n and the fading: at least 3 are needed")
     for i, sensor in enumerate(sensors):
         finite(sensor, f"{key}[{i}]", 3)
+    nodes = {"the source": scenario.source_m, "the destination": scenario.destination_m}
+    nodes |= {f"vehicle {i}": eta[:3] for i, eta in enumerate(scenario.start)}
+    for j, sensor in enumerate(sensors):
+        for name, position in nodes.items():
+            if math.dist(position, sensor) < 1e-6:
+                raise ConfigError(f"{key}[{j}]", f"lies on {name}, where the SNR is infinite; move it away")
     for i, eta in enumerate(scenario.start):
         distances = [math.dist(eta[:3], sensor) for sensor in sensors]
-        if min(distances) < 1e-6:
-            j = distances.index(min(distances))
-            raise ConfigError(f"{key}[{j}]", f"lies on vehicle {i}, where the SNR is infinite; move it away")
         if max(distances) / min(distances) < 1.0 + 1e-9:
             raise ConfigError(
                 key,

@@ -57,19 +57,22 @@ def shadowed_targets(scenario: Scenario, snr: LinkSnr, targets: Tensor, search: 
     for _ in range(ROUNDS):
         before = places.clone()
         for i in range(len(places)):
-            # (first, second) ends: source < destination < vehicles.
-            left = source if i == 0 else places[i - 1]
-            right = destination if i == len(places) - 1 else places[i + 1]
-            last = i == len(places) - 1
-
-            def worse(p: Tensor, left: Tensor = left, right: Tensor = right, last: bool = last) -> Tensor:
-                ahead = (right.expand_as(p), p) if last else (p, right.expand_as(p))
-                return torch.minimum(snr(left.expand_as(p), p), snr(*ahead))
-
-            places[i] = _best(worse, targets[i].double(), places[i], search, hop, scenario.depth)
+            left, right = torch.cat([source[None], places, destination[None]])[[i, i + 2]]
+            worth = _worse_link(snr, left, right, right_first=i == len(places) - 1)
+            places[i] = _best(worth, targets[i].double(), places[i], search, hop, scenario.depth)
         if len(places) == 1 or torch.equal(places, before):
             break
     return places.to(targets.dtype)
+
+
+def _worse_link(snr: LinkSnr, left: Tensor, right: Tensor, right_first: bool) -> Callable[[Tensor], Tensor]:
+    """From places [Q, 3] to the smaller SNR of the links with two neighbours, [Q]; a destination's end is the first."""
+
+    def worth(place: Tensor) -> Tensor:
+        there = right.expand_as(place)
+        return torch.minimum(snr(left.expand_as(place), place), snr(there, place) if right_first else snr(place, there))
+
+    return worth
 
 
 def _best(

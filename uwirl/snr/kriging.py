@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from uwirl.snr.measurements import Readings
+from uwirl.snr.model import NOISELESS
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import distances
 
@@ -53,7 +54,7 @@ class Kriging:
         self.first, self.second = readings.transmitters[transmitter], readings.receivers[receiver]
         distance = torch.linalg.vector_norm(self.first - self.second, dim=-1)
         omega = self._covariance(self.first, self.second)
-        omega.diagonal().add_(self.rho2)
+        omega.diagonal().add_(self.rho2.clamp_min(NOISELESS))
         self.factor = torch.linalg.cholesky(omega)
         H = _design(distance)
         y = readings.snr[0][heard] + channel.known_loss_dB(distance)

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from uwirl.snr.information import Derivatives
-from uwirl.snr.model import Fading, Geometry, Spectrum, generalized_least_squares
+from uwirl.snr.model import NOISELESS, Fading, Geometry, Spectrum, generalized_least_squares
 
 VARPHIS, RATIOS = 13, 37
 # The grid of correlation distances, as shares of the largest distance between two links.
@@ -27,8 +27,6 @@ MAX_ITERATIONS = 40
 MAX_STEP = 1.5
 # Newton decrement, twice the likelihood still to be gained, at which scoring stops: 3 % of a standard error.
 DECREMENT = 1e-3
-# Power of residuals that counts as none, dB^2: logarithms need some.
-NOISELESS = 1e-18
 # Entries of a batch of data sets' profiles, or of their covariance matrices: some ten such tensors live at once.
 MAX_ENTRIES = 2**24
 

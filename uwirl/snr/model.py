@@ -20,6 +20,9 @@ from uwirl.snr.measurements import Readings
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import distances
 
+# Power that counts as none, dB^2: logarithms and factorisations need some.
+NOISELESS = 1e-18
+
 
 class UnidentifiableError(ValueError):
     """The readings cannot determine the path loss."""
@@ -113,6 +116,8 @@ def observations(readings: Readings, known: Channel) -> Iterator[tuple[Tensor, T
     H = torch.stack([torch.ones_like(log_distance), log_distance], -1)
     y = readings.snr + known.known_loss_dB(distance)
     heard = ~readings.snr.isnan()
+    if not distance.numel():
+        raise UnidentifiableError("nothing was heard: no sensor is within scenario.hearing_range_m")
     patterns, which = torch.unique(heard.flatten(1), dim=0, return_inverse=True)
     apart, spacing = (distances(x, x) for x in (readings.transmitters, readings.receivers))
     for k, pattern in enumerate(patterns):

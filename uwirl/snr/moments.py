@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from uwirl.snr.likelihood import NOISELESS, grid
-from uwirl.snr.model import Fading, Geometry
+from uwirl.snr.likelihood import grid
+from uwirl.snr.model import NOISELESS, Fading, Geometry
 
 BINS, VARPHIS = 20, 200
 # Pairs farther apart than this share of the span say little of the correlation distance; but some there must be.

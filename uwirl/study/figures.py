@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.features import AXES, MotionBasis
 from uwirl.study.evaluation import Evaluation
+from uwirl.study.shadowing import Messages
 from uwirl.world.layouts import KINDS
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario
@@ -31,13 +32,18 @@ CONTROL_LABELS = ("surge (N)", "sway (N)", "heave (N)", "yaw (N m)")
 
 
 def mission_figure(
-    scenario: Scenario, evaluation: Evaluation, records: Sequence[IterationRecord], basis: MotionBasis | None
+    scenario: Scenario,
+    evaluation: Evaluation,
+    messages: Messages,
+    records: Sequence[IterationRecord],
+    basis: MotionBasis | None,
 ) -> Figure:
     """Fig. 5's panels: path in 3-D and from above, pose, control, weights over iterations, link capacities.
 
     Args:
         scenario: the nodes.
         evaluation: the mission; its first world is drawn.
+        messages: what its links carry with shadowing.
         records: policy iterations, none for a planner that does not learn.
         basis: names of the weights; None with no records.
     """
@@ -48,7 +54,7 @@ def mission_figure(
     panels = figure.add_gridspec(3, 3)
     _path_3d(figure.add_subplot(panels[0, 0], projection="3d"), scenario, eta)
     _path_top(figure.add_subplot(panels[0, 1]), scenario, eta)
-    _capacities(figure.add_subplot(panels[0, 2]), time, evaluation)
+    _capacities(figure.add_subplot(panels[0, 2]), time, evaluation, messages)
     _series(figure.add_subplot(panels[1, 0]), time, eta[..., :3], POSE_LABELS[:3], "(b) position", "m")
     _series(figure.add_subplot(panels[1, 1]), time, eta[..., 3:], POSE_LABELS[3:], "(b) orientation", "rad")
     _series(figure.add_subplot(panels[1, 2]), time[:-1], tau, CONTROL_LABELS, "(c) control", "N, N m")
@@ -165,17 +171,21 @@ def _cylinders(scenario: Scenario) -> list[tuple[tuple[float, float], float, flo
     return list(zip(centres, obstacles.radius[here].tolist(), obstacles.influence[here].tolist(), strict=True))
 
 
-def _capacities(axes: Axes, time: NDArray, evaluation: Evaluation) -> None:
+def _capacities(axes: Axes, time: NDArray, evaluation: Evaluation, messages: Messages) -> None:
     links = evaluation.link_capacity[:, 0].numpy(force=True)
     shown = np.clip(links, None, 3.0 * evaluation.optimal_capacity)
     for j in range(links.shape[1]):
         axes.plot(time, shown[:, j], lw=1.0, label=f"link {j} to {j + 1}")
     axes.plot(time, evaluation.chain_capacity[:, 0].numpy(force=True), "k", lw=1.8, label="chain")
+    shadowed = messages.link_capacity.amin(-1).numpy(force=True)
+    axes.plot(
+        messages.time.numpy(force=True), shadowed, ".", color="tab:red", ms=3, label="chain, shadowed, at messages"
+    )
     axes.axhline(0.99 * evaluation.optimal_capacity, color="gray", ls=":", label="99 % of the optimum")
     t99 = evaluation.time_to_99_percent()
     if t99 is not None:
         axes.axvline(t99, color="gray", lw=0.8)
-    axes.set(xlabel="t (s)", ylabel="mean capacity (kbit/s)", title="(f) link capacity")
+    axes.set(xlabel="t (s)", ylabel="capacity (kbit/s)", title="(f) link capacity of path loss")
     axes.legend(fontsize=8)
     axes.grid(alpha=0.3)
 

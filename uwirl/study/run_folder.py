@@ -16,6 +16,7 @@ from uwirl.config.estimate_schema import EstimateConfig
 from uwirl.config.schema import Config
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.evaluation import Evaluation
+from uwirl.study.shadowing import Messages
 
 
 def config_hash(config: Config | EstimateConfig) -> str:
@@ -57,8 +58,12 @@ def estimate_metrics(estimate: ChannelEstimate) -> dict[str, Any]:
     return metrics
 
 
-def write_trajectory(folder: Path, evaluation: Evaluation) -> None:
-    """trajectory.npz of the mission's first world: time_s, eta, nu [n + 1, M, 4], tau [n, M, 4], link_capacity_kbps."""
+def write_trajectory(folder: Path, evaluation: Evaluation, messages: Messages) -> None:
+    """trajectory.npz of the mission's first world.
+
+    time_s [n + 1], eta, nu [n + 1, M, 4], tau [n, M, 4], link_capacity_kbps [n + 1, M + 1] of path loss alone, and with
+    shadowing link_capacity_shadowed_kbps [k, M + 1] at message_time_s [k].
+    """
     trajectory = evaluation.trajectory
     np.savez_compressed(
         folder / "trajectory.npz",
@@ -67,4 +72,6 @@ def write_trajectory(folder: Path, evaluation: Evaluation) -> None:
         nu=trajectory.nu[:, 0].numpy(force=True),
         tau=trajectory.tau[:, 0].numpy(force=True),
         link_capacity_kbps=evaluation.link_capacity[:, 0].numpy(force=True),
+        message_time_s=messages.time.numpy(force=True),
+        link_capacity_shadowed_kbps=messages.link_capacity.numpy(force=True),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,11 +12,12 @@ from uwirl.motion.targets import ChainTargets
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.kriging import Kriging
 from uwirl.snr.measurements import Readings
-from uwirl.study.evaluation import Evaluation
-from uwirl.world.relay import Relay
+from uwirl.world.relay import Relay, Trajectory
 
 # Of the map on which predictions are compared with the truth.
 MAP_SPACING_M = 2.0
+# Messages whose shadowing is evaluated together.
+CHUNK = 1024
 
 
 def true_snr(env: Relay, first: Tensor, second: Tensor) -> Tensor:
@@ -25,18 +26,37 @@ def true_snr(env: Relay, first: Tensor, second: Tensor) -> Tensor:
     return env.channel.mean_snr_dB(distance) + env.shadowing(first[None], second[None])[0]
 
 
-def shadowed_capacities(env: Relay, evaluation: Evaluation, targets: ChainTargets) -> dict[str, float]:
+class Messages(NamedTuple):
+    """What links carry when messages are sent.
+
+    Attributes:
+        time: [k], s.
+        link_capacity: of path loss and shadowing, [k, M + 1], kbit/s.
+    """
+
+    time: Tensor
+    link_capacity: Tensor
+
+
+def messages(env: Relay, trajectory: Trajectory) -> Messages:
+    """Of the first world's mission, every `scenario.message_period`."""
+    every = round(env.scenario.message_period / env.scenario.dt)
+    position = trajectory.eta[::every, :1, :, :3]
+    capacity = [env.link_capacities_kbps(part, shadowed=True)[:, 0] for part in position.split(CHUNK)]
+    return Messages(trajectory.time[::every], torch.cat(capacity))
+
+
+def shadowed_capacities(env: Relay, trajectory: Trajectory, targets: ChainTargets) -> dict[str, float]:
     """The chain's capacity with path loss and shadowing, at the start, at the end and at most, entries of metrics.json.
 
     Args:
         env: of one world.
-        evaluation: the mission.
+        trajectory: the mission.
         targets: of the mean channel.
     """
     best = shadowed_targets(env.scenario, lambda p, q: true_snr(env, p, q), targets.frame.target)
-    flown = evaluation.trajectory.eta[[0, -1], :, :, :3]
-    start, end = env.link_capacities_kbps(flown, shadowed=True)[:, 0].amin(-1).tolist()
-    optimal = float(env.link_capacities_kbps(best[None], shadowed=True).amin())
+    places = torch.cat([trajectory.eta[[0, -1], 0, :, :3], best[None]])
+    start, end, optimal = env.link_capacities_kbps(places[:, None], shadowed=True)[:, 0].amin(-1).tolist()
     # The search ends at a spacing; a vehicle that has come to rest on a peak is part of it.
     return {
         "capacity_initial_kbps": start,
@@ -54,15 +74,8 @@ def map_grid(env: Relay, spacing_m: float = MAP_SPACING_M) -> tuple[Tensor, Tens
     return x.to(ends.device), y.to(ends.device)
 
 
-def map_rmse_dB(env: Relay, readings: Readings, estimate: ChannelEstimate) -> float:
-    """Root mean square error of the kriged SNR from source and destination to a map at their mean depth, dB.
-
-    Args:
-        env: with the truth, of one world.
-        readings: one vehicle's.
-        estimate: its channel.
-    """
-    kriging = Kriging(readings, estimate.channel)
+def map_rmse_dB(env: Relay, kriging: Kriging) -> float:
+    """Root mean square error of the kriged SNR from source and destination to a map at their mean depth, dB."""
     nodes = [env.scenario.source.double(), env.scenario.destination.double()]
     depth = float(0.5 * (nodes[0][2] + nodes[1][2]))
     places = torch.cartesian_prod(*map_grid(env))
@@ -81,11 +94,19 @@ def map_targets(env: Relay, kriging: Kriging, targets: ChainTargets) -> Tensor:
 
 
 def summary(
-    env: Relay, evaluation: Evaluation, targets: ChainTargets, readings: list[Readings], estimate: ChannelEstimate
+    env: Relay, trajectory: Trajectory, targets: ChainTargets, readings: list[Readings], estimate: ChannelEstimate
 ) -> dict[str, Any]:
-    """All of these, entries of metrics.json."""
-    metrics: dict[str, Any] = shadowed_capacities(env, evaluation, targets)
-    one = torch.arange(len(readings), device=env.scenario.source.device)
-    rmse = [map_rmse_dB(env, data, estimate.select(one[i : i + 1])) for i, data in enumerate(readings)]
+    """All of these, entries of metrics.json.
+
+    With one vehicle that can tell the shadowing, also where its map would put it, and what it would carry there.
+    """
+    metrics: dict[str, Any] = shadowed_capacities(env, trajectory, targets)
+    channels = [estimate.select(torch.tensor([i])).channel for i in range(len(readings))]
+    maps = [Kriging(data, channel) for data, channel in zip(readings, channels, strict=True)]
+    rmse = [map_rmse_dB(env, kriging) for kriging in maps]
     metrics["snr_map_rmse_dB"] = rmse[0] if len(rmse) == 1 else rmse
+    if len(maps) == 1 and float(maps[0].zeta2) > 0.0:
+        place = map_targets(env, maps[0], targets)
+        capacity = env.link_capacities_kbps(place[None, None], shadowed=True).amin()
+        metrics |= {"map_target_m": place.tolist(), "map_target_capacity_kbps": float(capacity)}
     return metrics

@@ -1,9 +1,9 @@
 """The one place where names in a configuration become objects."""
 
-from uwirl.build.estimators import make_estimator
-from uwirl.build.motion import make_cost, make_guard, make_guidance
-from uwirl.build.planners import make_planner, policy_in
-from uwirl.build.worlds import make_channel, make_layouts, make_relay, make_scenario
+from uwirl.builders.estimators import make_estimator
+from uwirl.builders.motion import make_cost, make_guard, make_guidance
+from uwirl.builders.planners import make_planner, policy_in
+from uwirl.builders.worlds import make_channel, make_layouts, make_relay, make_scenario
 
 __all__ = [
     "make_channel",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from uwirl.build.learning import irl_planner
-from uwirl.build.motion import make_cost, make_guard, make_guidance
+from uwirl.builders.learning import irl_planner
+from uwirl.builders.motion import make_cost, make_guard, make_guidance
 from uwirl.config.schema import (
     Config,
     IrlConfig,

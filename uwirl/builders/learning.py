@@ -6,7 +6,7 @@ import math
 
 from torch import Tensor
 
-from uwirl.build.motion import make_guard, make_guidance
+from uwirl.builders.motion import make_guard, make_guidance
 from uwirl.config.schema import (
     Config,
     ExperienceConfig,

@@ -1,0 +1,1 @@
+"""Objects from settings, by what they are for; `uwirl.build` is their face."""
