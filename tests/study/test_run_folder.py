@@ -50,9 +50,17 @@ def test_what_is_no_runs_metrics(tmp_path, text: str):
 
 def test_clearing_leaves_what_is_not_a_runs(tmp_path):
     for name in ("metrics.json", "trajectory.npz", "run.log", "notes.txt"):
-        (tmp_path / name).touch()
+        (tmp_path / name).write_text("{}")
     (tmp_path / "tb").mkdir()
     (tmp_path / "tb" / "events").touch()
     run_folder.clear(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "run.log"]
     run_folder.clear(tmp_path)
+
+
+def test_clearing_spares_folders_that_no_run_has_been_in(make_config, tmp_path):
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "own.png").touch()
+    assert run_folder.claim(tmp_path, make_config())
+    run_folder.clear(tmp_path)
+    assert (tmp_path / "figures" / "own.png").exists()

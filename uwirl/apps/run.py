@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import sys
-import tempfile
-from pathlib import Path
 
 import hydra
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, one_line
+from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, failed_jobs, note_failure, one_line
 from uwirl.apps.job import run_job
 from uwirl.config import compose
 from uwirl.config.schema import register
@@ -25,16 +23,15 @@ def main() -> None:
     # Hydra's own flags (--help, --multirun, ...) may take what compose would refuse, so they go straight to Hydra.
     if not any(argument.startswith("-") for argument in arguments):
         _check(arguments)
-    # A file for each failure: a launcher may run a sweep's jobs in other processes, which share no variable with this.
-    with tempfile.TemporaryDirectory(prefix="uwirl_") as failures:
+    with failed_jobs() as failures:
 
         @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="config")
         def job(composed: DictConfig) -> None:
             if not run_job(composed):
-                tempfile.NamedTemporaryFile(dir=failures, delete=False).close()
+                note_failure(failures)
 
         job()
-        failed = any(Path(failures).iterdir())
+        failed = any(failures.iterdir())
     if failed:
         sys.exit(FAILED)
 

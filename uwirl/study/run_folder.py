@@ -92,7 +92,11 @@ def claim(folder: Path, config: Config) -> bool:
 
 
 def clear(folder: Path) -> None:
-    """Remove what an earlier run left, so that none of it passes for the next one's."""
+    """Remove what an earlier run left, so that none of it passes for the next one's; nothing where no run has been."""
+    # A folder that was just claimed has an empty configuration, and may be someone's own: hydra.run.dir=. is allowed.
+    traces = (folder / "config.yaml", folder / "metrics.json")
+    if not any(path.is_file() and path.stat().st_size for path in traces):
+        return
     for name in RESULTS:
         path = folder / name
         if path.is_dir() and not path.is_symlink():
