@@ -204,8 +204,10 @@ def test_multirun_goes_on_after_a_bad_job(tmp_path):
     result = subprocess.run([*command, *quiet], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert result.returncode == 1
     assert "planner.saturation_m: must be greater than 0, got -4" in result.stderr
-    status = [json.loads(path.read_text())["status"] for path in tmp_path.rglob("metrics.json")]
-    assert status == ["complete", "complete"]
+    found = [json.loads(path.read_text()) for path in tmp_path.rglob("metrics.json")]
+    errors = [metrics["error"] for metrics in found if metrics["status"] == "failed"]
+    assert errors == ["ConfigError: planner.saturation_m: must be greater than 0, got -4"]
+    assert [metrics["status"] for metrics in found].count("complete") == 2
 
 
 def test_installed_wheel_runs_from_another_folder(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -43,13 +44,14 @@ FAILURES = (
 )
 
 
-def run(config: Config, experiment: str, folder: Path) -> dict[str, Any]:
+def run(config: Config, experiment: str, folder: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
     """Run one experiment and write its folder.
 
     Args:
         config: validated.
         experiment: its name.
         folder: existing, where everything is written.
+        overrides: of the command line, to be told apart from others of a sweep.
 
     Returns:
         What metrics.json holds; `status` is "failed", with `error`, after one of FAILURES. Anything else that is raised
@@ -61,6 +63,7 @@ def run(config: Config, experiment: str, folder: Path) -> dict[str, Any]:
         "status": "failed",
         "error": None,
         "experiment": experiment,
+        "overrides": list(overrides),
         "config_hash": run_folder.config_hash(config),
         "seed": config.seed,
         "uwirl_version": uwirl.__version__,

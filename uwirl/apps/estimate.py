@@ -12,7 +12,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, one_line
+from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, failed_jobs, note_failure, one_line
 from uwirl.config import compose
 from uwirl.config.estimate_rules import validate_estimate
 from uwirl.config.estimate_schema import EstimateConfig, register
@@ -33,24 +33,24 @@ def main() -> None:
         except (HydraException, OmegaConfBaseException, ValueError, OSError) as error:
             print(f"uwirl-estimate: {one_line(error)}", file=sys.stderr)
             sys.exit(BAD_CONFIGURATION)
-    failures: list[str] = []
+    with failed_jobs() as failures:
 
-    @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="estimate")
-    def job(composed: DictConfig) -> None:
-        from uwirl.apps.survey import run
+        @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="estimate")
+        def job(composed: DictConfig) -> None:
+            from uwirl.apps.survey import run
 
-        try:
-            survey = checked.pop() if checked else _prepare(composed)
-        except (OmegaConfBaseException, ValueError, OSError) as error:
-            print(f"uwirl-estimate: {one_line(error)}", file=sys.stderr)
-            failures.append(str(error))
-            return
-        metrics = run(survey, Path(HydraConfig.get().runtime.output_dir))
-        if metrics["status"] != "complete":
-            failures.append(metrics["error"])
+            try:
+                survey = checked.pop() if checked else _prepare(composed)
+            except (OmegaConfBaseException, ValueError, OSError) as error:
+                print(f"uwirl-estimate: {one_line(error)}", file=sys.stderr)
+                note_failure(failures)
+                return
+            if run(survey, Path(HydraConfig.get().runtime.output_dir))["status"] != "complete":
+                note_failure(failures)
 
-    job()
-    if failures:
+        job()
+        failed = any(failures.iterdir())
+    if failed:
         sys.exit(FAILED)
 
 

@@ -3,48 +3,36 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import hydra
-from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, one_line
+from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, failed_jobs, note_failure, one_line
+from uwirl.apps.job import run_job
 from uwirl.config import compose
 from uwirl.config.schema import register
-from uwirl.config.validate import ConfigError, validate
+from uwirl.config.validate import validate
 
 
 def main() -> None:
-    """Entry point. Exits 2, with one message and no run folder, on a bad configuration; 1 if the run failed."""
+    """Entry point. Exits 2, with one message and no run folder, on a bad configuration; 1 if a run failed."""
     register()
     arguments = sys.argv[1:]
     # Hydra's own flags (--help, --multirun, ...) may take what compose would refuse, so they go straight to Hydra.
     if not any(argument.startswith("-") for argument in arguments):
         _check(arguments)
-    failures: list[str] = []
+    with failed_jobs() as failures:
 
-    @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="config")
-    def job(composed: DictConfig) -> None:
-        # Imported here so that a bad configuration is answered before torch is loaded.
-        from uwirl.apps.algorithm import run
+        @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="config")
+        def job(composed: DictConfig) -> None:
+            if not run_job(composed):
+                note_failure(failures)
 
-        runtime = HydraConfig.get().runtime
-        try:
-            config = compose.to_config(composed)
-            validate(config)
-        except (ConfigError, OmegaConfBaseException) as error:
-            print(f"uwirl: {one_line(error)}", file=sys.stderr)
-            failures.append(str(error))
-            return
-        metrics = run(config, runtime.choices["experiment"], Path(runtime.output_dir))
-        if metrics["status"] != "complete":
-            failures.append(metrics["error"])
-
-    job()
-    if failures:
+        job()
+        failed = any(failures.iterdir())
+    if failed:
         sys.exit(FAILED)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,17 @@ from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import Messages
 
+# What a run writes besides config.yaml and run.log.
+RESULTS = ("metrics.json", "trajectory.npz", "layouts.npz", "checkpoints", "figures", "tb")
+
 
 def config_hash(config: Config | EstimateConfig) -> str:
     """Hash of everything that changes the result: not of logging."""
-    relevant = {key: value for key, value in asdict(config).items() if key != "logging"}
+    return _hash(asdict(config))
+
+
+def _hash(settings: dict[str, Any]) -> str:
+    relevant = {key: value for key, value in settings.items() if key != "logging"}
     return hashlib.sha256(json.dumps(relevant, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -30,11 +38,71 @@ def write_config(folder: Path, config: Config | EstimateConfig) -> None:
     (folder / "config.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(asdict(config))))
 
 
+def write_whole(path: Path, content: bytes) -> None:
+    """A file that is there whole or not at all."""
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_bytes(content)
+    os.replace(temporary, path)
+
+
 def write_metrics(folder: Path, metrics: dict[str, Any]) -> None:
     """metrics.json, one flat object, whole or not at all. Infinite values and NaN become null: JSON has neither."""
-    temporary = folder / "metrics.json.tmp"
-    temporary.write_text(json.dumps(_finite(metrics), indent=2) + "\n")
-    os.replace(temporary, folder / "metrics.json")
+    write_whole(folder / "metrics.json", (json.dumps(_finite(metrics), indent=2) + "\n").encode())
+
+
+def read_metrics(folder: Path) -> dict[str, Any]:
+    """What metrics.json holds.
+
+    Raises:
+        OSError: there is none, or it cannot be read.
+        ValueError: it is no run's.
+    """
+    try:
+        metrics = json.loads((folder / "metrics.json").read_bytes())
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    if not isinstance(metrics, dict) or metrics.get("status") not in ("complete", "failed"):
+        raise ValueError("not the metrics of a run: no object with a status that is complete or failed")
+    return metrics
+
+
+def is_complete(folder: Path, config: Config) -> bool:
+    """Whether a folder holds the results of this configuration."""
+    try:
+        metrics = read_metrics(folder)
+    except (OSError, ValueError):
+        return False
+    return metrics["status"] == "complete" and metrics.get("config_hash") == config_hash(config)
+
+
+def claim(folder: Path, config: Config) -> bool:
+    """Take a folder for a run; False if it is, or just becomes, that of another configuration."""
+    path = folder / "config.yaml"
+    try:
+        # Of two processes that come at once only one creates it.
+        path.open("x").close()
+    except FileExistsError:
+        try:
+            settings = OmegaConf.to_container(OmegaConf.load(path))
+        except Exception:
+            # Damaged in whatever way, it is not this configuration.
+            return False
+        return isinstance(settings, dict) and _hash({str(k): v for k, v in settings.items()}) == config_hash(config)
+    return True
+
+
+def clear(folder: Path) -> None:
+    """Remove what an earlier run left, so that none of it passes for the next one's; nothing where no run has been."""
+    # A folder that was just claimed has an empty configuration, and may be someone's own: hydra.run.dir=. is allowed.
+    traces = (folder / "config.yaml", folder / "metrics.json")
+    if not any(path.is_file() and path.stat().st_size for path in traces):
+        return
+    for name in RESULTS:
+        path = folder / name
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def _finite(value: Any) -> Any:

@@ -1,0 +1,66 @@
+"""`uwirl-collect DIR`: the runs below a folder as one table, with figures."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import io
+import os
+import sys
+from pathlib import Path
+
+from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED
+
+
+def main() -> None:
+    """Entry point. Exits 2, with one message, where there are no runs; 1 if the results cannot be written."""
+    parser = argparse.ArgumentParser(
+        "uwirl-collect", description="Gather the runs below a folder, also while they run."
+    )
+    parser.add_argument("folder", type=Path, help="results.csv, results.md and figures/ are written here")
+    folder: Path = parser.parse_args().folder
+    if not folder.is_dir():
+        print(f"uwirl-collect: {folder}: no such folder", file=sys.stderr)
+        sys.exit(BAD_CONFIGURATION)
+    # A terminal that lacks a sign shows another one.
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
+    sys.exit(_collect(folder))
+
+
+def _collect(folder: Path) -> int:
+    # Imported here so that a mistyped folder is answered before torch is loaded.
+    from uwirl.study.collection import collect
+    from uwirl.study.collection_report import csv_table, markdown
+    from uwirl.study.run_folder import write_whole
+
+    found = collect(folder)
+    if not found.jobs and not found.incomplete:
+        skipped = "".join(f"; skipped {name}: {reason}" for name, reason in found.skipped[:3])
+        print(f"uwirl-collect: {folder}: no runs below it{skipped}", file=sys.stderr)
+        return BAD_CONFIGURATION
+    report = markdown(found, folder.resolve().name)
+    told, code = [report], 0
+    try:
+        for name, text in (("results.csv", csv_table(found)), ("results.md", report)):
+            write_whole(folder / name, text.encode("utf-8", "backslashreplace"))
+            told.append(f"written: {folder / name}")
+        if importlib.util.find_spec("matplotlib") is None:
+            told.append("no figures: matplotlib is not installed (pip install 'uwirl[plot]')")
+        else:
+            from uwirl.study.collection_figure import draw
+
+            told += [f"figure: {path}" for path in draw(found, folder / "figures")]
+    except OSError as error:
+        print(f"uwirl-collect: {folder}: cannot be written: {error.strerror}", file=sys.stderr)
+        code = FAILED
+    try:
+        print("\n".join(told), flush=True)
+    except BrokenPipeError:
+        # The reader, `head` perhaps, has seen enough; Python would flush once more on its way out.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return code
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""Figures of a collection: box plots and learning curves; needs matplotlib (extra `plot`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+from matplotlib.figure import Figure
+
+from uwirl.study.collection import MAIN, Collection, Job, numbers
+
+COLUMNS = 3
+# Inches; far more groups than can be told apart would be more pixels than an image may have.
+MOST_HEIGHT = 100.0
+
+
+def draw(collection: Collection, folder: Path) -> list[Path]:
+    """boxes.png and learning_curves.png, where there is anything to show; returns those written.
+
+    Args:
+        collection: what to show.
+        folder: made when missing.
+    """
+    groups = {_label(collection, key): group for key, group in collection.groups().items() if group}
+    jobs = [job for group in groups.values() for job in group]
+    written = []
+    metrics = [metric for metric in MAIN if numbers(jobs, metric)]
+    if metrics:
+        written.append(_save(boxes_figure(groups, metrics), folder / "boxes.png"))
+    if any(curve(job) for job in jobs):
+        written.append(_save(curves_figure(groups), folder / "learning_curves.png"))
+    return written
+
+
+def boxes_figure(groups: Mapping[str, Sequence[Job]], metrics: Sequence[str]) -> Figure:
+    """A panel for each metric, in it a box and the points of each group."""
+    rows = -(-len(metrics) // COLUMNS)
+    height = min(MOST_HEIGHT, rows * (1.2 + 0.35 * len(groups)))
+    figure = Figure(figsize=(5.0 * COLUMNS, height), layout="constrained")
+    panels = figure.subplots(rows, COLUMNS, squeeze=False, sharey=True).flatten()
+    places = range(1, len(groups) + 1)
+    for axes, metric in zip(panels, metrics, strict=False):
+        values = [numbers(group, metric) for group in groups.values()]
+        axes.boxplot(values, orientation="horizontal", positions=places, widths=0.6, showfliers=False)
+        for place, value in zip(places, values, strict=True):
+            axes.plot(value, [place] * len(value), ".", color="#0072B2", alpha=0.6)
+        axes.set_yticks(places, list(groups))
+        axes.set(xlabel=metric)
+        axes.locator_params(axis="x", nbins=5)
+        axes.grid(alpha=0.3, axis="x")
+    panels[0].invert_yaxis()
+    for axes in panels[len(metrics) :]:
+        axes.set_visible(False)
+    return figure
+
+
+def curve(job: Job) -> list[float]:
+    """Cost of each policy iteration; empty where there is none."""
+    costs = job.metrics.get("cost_per_iteration")
+    if not isinstance(costs, list):
+        return []
+    return [float(x) if isinstance(x, int | float) else float("nan") for x in costs]
+
+
+def curves_figure(groups: Mapping[str, Sequence[Job]]) -> Figure:
+    """Cost over policy iterations, a line a job, a colour a group."""
+    figure = Figure(figsize=(9.0, 6.0), layout="constrained")
+    axes = figure.subplots()
+    for k, (label, group) in enumerate(groups.items()):
+        curves = [values for job in group if (values := curve(job))]
+        for j, values in enumerate(curves):
+            axes.plot(range(1, len(values) + 1), values, color=f"C{k % 10}", lw=1.0, label=None if j else label)
+    axes.set(xlabel="policy iteration", ylabel="cost of the mission")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    return figure
+
+
+def _label(collection: Collection, key: tuple[str, ...]) -> str:
+    told = zip(collection.varied, key, strict=True)
+    return ", ".join(f"{name}={value}" for name, value in told if value) or "all"
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".tmp")
+    figure.savefig(temporary, dpi=110, format="png")
+    temporary.replace(path)
+    return path
