@@ -2,7 +2,7 @@
 PYTHON := $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: demo test test-all lint benchmark clean
+.PHONY: demo monitor test test-all lint benchmark clean
 
 # One install serves every target; the stamp is renewed when the requirements change.
 .venv/.installed: pyproject.toml constraints.txt
@@ -12,6 +12,10 @@ BIN := .venv/bin
 
 demo: .venv/.installed
 	$(BIN)/uwirl
+
+# On this machine alone, while runs go on.
+monitor: .venv/.installed
+	$(BIN)/tensorboard --logdir outputs --host localhost
 
 test: .venv/.installed
 	$(BIN)/python -m pytest -m 'not slow'

@@ -94,6 +94,7 @@ def _algorithm_1(config: Config, folder: Path) -> dict[str, Any]:
     for line in str(estimate).splitlines():
         log.info("channel estimate: %s", line)
     if board:
+        board.config(config)
         board.estimate(estimate)
 
     planner = build.make_planner(config, config.planner, env)
@@ -123,10 +124,13 @@ def _algorithm_1(config: Config, folder: Path) -> dict[str, Any]:
             board.cost_per_iteration(costs)
     messages = shadowing.messages(env, evaluation.trajectory)
     run_folder.write_trajectory(folder, evaluation, messages)
+    picture = pictures.mission(config.logging, folder, env, evaluation, messages, records, planner)
     if board:
-        board.evaluation(evaluation)
+        board.evaluation(evaluation, messages)
+        if picture:
+            board.picture(picture)
+        board.compare(config, metrics)
         board.close()
-    pictures.mission(config.logging, folder, env, evaluation, messages, records, planner)
     for line in table(rows):
         log.info("%s", line)
     return metrics

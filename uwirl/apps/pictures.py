@@ -31,10 +31,10 @@ def mission(
     messages: Messages,
     records: Sequence[IterationRecord],
     planner: Planner,
-) -> None:
-    """figures/mission.png and, with logging.animation, mission.gif."""
+) -> Path | None:
+    """figures/mission.png, whose path is returned, and, with logging.animation, mission.gif."""
     if not _possible(logging_config):
-        return
+        return None
     from uwirl.study import animation, figures
 
     basis = planner.basis if isinstance(planner, LearningPlanner) else None
@@ -44,6 +44,7 @@ def mission(
     if logging_config.animation:
         animation.save(env.scenario, evaluation, path.with_suffix(".gif"))
         log.info("animation: %s", path.with_suffix(".gif"))
+    return path
 
 
 def layouts(logging_config: LoggingConfig, folder: Path, env: Relay, evaluation: Evaluation, kind: Tensor) -> None:

@@ -1,19 +1,41 @@
-"""TensorBoard scalars of a run; tags carry units."""
+"""TensorBoard of a run: what it learns while it learns it, and what came of it; tags carry units."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
+import torch
+from omegaconf import OmegaConf
 from torch.utils.tensorboard import SummaryWriter
+from torch.utils.tensorboard.summary import hparams
 
+from uwirl.config.schema import Config
 from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.features import AXES, MotionBasis
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.evaluation import Evaluation
+from uwirl.study.shadowing import Messages
+
+# Of metrics.json, beside the settings in parallel coordinates.
+COMPARED = (
+    "cost_total",
+    "capacity_final_mean_kbps",
+    "capacity_final_kbps",
+    "time_to_99_percent_s",
+    "learning_vehicle_seconds",
+    "collisions",
+    "learning_collisions",
+    "energy_J",
+)
+# Colours of vehicles in the mesh, RGB.
+COLOURS = ((31, 119, 180), (255, 127, 14), (44, 160, 44), (214, 39, 40), (148, 103, 189))
 
 
 class TensorBoard:
-    """Writes what a run learns while it learns it.
+    """Writes one run's events.
 
     Args:
         folder: where the event files go.
@@ -21,6 +43,11 @@ class TensorBoard:
 
     def __init__(self, folder: Path):
         self.writer = SummaryWriter(str(folder))
+
+    def config(self, config: Config) -> None:
+        """The resolved settings as text."""
+        yaml = OmegaConf.to_yaml(OmegaConf.create(asdict(config)))
+        self.writer.add_text("config", "\n".join(f"    {line}" for line in yaml.splitlines()))
 
     def estimate(self, estimate: ChannelEstimate) -> None:
         """Stage 1's parameters, one point for each vehicle."""
@@ -46,14 +73,53 @@ class TensorBoard:
         for iteration, value in enumerate(cost, 1):
             self.writer.add_scalar("cost/total", value, iteration)
 
-    def evaluation(self, evaluation: Evaluation, every: int = 10) -> None:
-        """Capacity over the mission's time (step = ms) and the cost by term."""
-        capacity = evaluation.chain_capacity[:, 0]
+    def evaluation(self, evaluation: Evaluation, messages: Messages, every: int = 10) -> None:
+        """Capacity and clearance over the mission's time (step = ms), the cost by term, and the path in 3-D."""
+        capacity, clearance = evaluation.chain_capacity[:, 0], evaluation.clearance[:, 0].amin(-1)
         for step in range(0, len(capacity), every):
             milliseconds = round(1000.0 * step * evaluation.trajectory.dt)
             self.writer.add_scalar("capacity/min_kbps", float(capacity[step]), milliseconds)
+            if bool(clearance[step].isfinite()):
+                self.writer.add_scalar("safety/min_clearance_m", float(clearance[step]), milliseconds)
+        shadowed = messages.link_capacity.amin(-1)
+        for time, value in zip(messages.time.tolist(), shadowed.tolist(), strict=True):
+            self.writer.add_scalar("capacity/min_shadowed_kbps", value, round(1000.0 * time))
         for term, value in evaluation.cost_terms.items():
             self.writer.add_scalar(f"cost/{term}", float(value[0]), 0)
+        path = evaluation.trajectory.eta[::every, 0, :, :3].float().cpu()
+        colours = torch.tensor([COLOURS[i % len(COLOURS)] for i in range(path.shape[1])], dtype=torch.uint8)
+        self.writer.add_mesh("path", path.flatten(0, 1)[None], colours.repeat(len(path), 1)[None])
+
+    def picture(self, path: Path) -> None:
+        """A figure that has been drawn; needs matplotlib, which drew it."""
+        from matplotlib.image import imread
+
+        self.writer.add_image(f"figures/{path.stem}", imread(path)[..., :3], dataformats="HWC")
+
+    def compare(self, config: Config, metrics: Mapping[str, Any]) -> None:
+        """Settings beside results, so that runs of a sweep can be compared in parallel coordinates.
+
+        The summaries are written one by one, because `SummaryWriter.add_hparams` would make a second run.
+        """
+        settings = {key: value for key, value in _flat(asdict(config)).items() if not key.startswith("logging.")}
+        results = {name: metrics[name] for name in COMPARED if isinstance(metrics.get(name), (int, float))}
+        for summary in hparams(settings, {f"result/{name}": value for name, value in results.items()}):
+            self.writer._get_file_writer().add_summary(summary)
+        for name, value in results.items():
+            self.writer.add_scalar(f"result/{name}", value, 0)
 
     def close(self) -> None:
         self.writer.close()
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, bool | int | float | str]:
+    """Leaves by their dotted keys; lists, which are no coordinate, as text, nothing for null."""
+    leaves: dict[str, bool | int | float | str] = {}
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            leaves |= _flat(value, f"{prefix}{key}.")
+        elif isinstance(value, (bool, int, float, str)):
+            leaves[prefix + key] = value
+        elif value is not None:
+            leaves[prefix + key] = str(value)
+    return leaves
