@@ -173,6 +173,7 @@ class IrlPlanner(LearningPlanner):
             self.recorder.watch(env, hover)
             flight, after = self.experience.begin(hover), None
         else:
+            self.state = resume
             solver.load_state_dict(resume.solver)
             self.recorder.contacts = resume.contacts
             flight, after = resume.flight, resume.record

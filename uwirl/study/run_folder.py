@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,24 +16,33 @@ from uwirl.config.schema import Config
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import Messages
+from uwirl.study.whole_files import write_arrays, write_whole
+
+# What may differ between two runs with the same result.
+FREE = ("logging", "checkpoint", "resume")
 
 
-def config_hash(config: Config | EstimateConfig) -> str:
-    """Hash of everything that changes the result: not of logging."""
-    relevant = {key: value for key, value in asdict(config).items() if key != "logging"}
+def config_hash(config: Config | EstimateConfig, start: str | None = None) -> str:
+    """Hash of everything that changes the result: not of logging, checkpoints and paths.
+
+    Args:
+        config: the settings.
+        start: digest of the checkpoint that a run starts from.
+    """
+    relevant = {key: value for key, value in asdict(config).items() if key not in FREE}
+    if "init_from" in relevant:
+        relevant["init_from"] = start
     return hashlib.sha256(json.dumps(relevant, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def write_config(folder: Path, config: Config | EstimateConfig) -> None:
     """config.yaml, resolved."""
-    (folder / "config.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(asdict(config))))
+    write_whole(folder / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(asdict(config))).encode())
 
 
 def write_metrics(folder: Path, metrics: dict[str, Any]) -> None:
     """metrics.json, one flat object, whole or not at all. Infinite values and NaN become null: JSON has neither."""
-    temporary = folder / "metrics.json.tmp"
-    temporary.write_text(json.dumps(_finite(metrics), indent=2) + "\n")
-    os.replace(temporary, folder / "metrics.json")
+    write_whole(folder / "metrics.json", (json.dumps(_finite(metrics), indent=2) + "\n").encode())
 
 
 def _finite(value: Any) -> Any:
@@ -65,7 +73,7 @@ def write_trajectory(folder: Path, evaluation: Evaluation, messages: Messages) -
     shadowing link_capacity_shadowed_kbps [k, M + 1] at message_time_s [k].
     """
     trajectory = evaluation.trajectory
-    np.savez_compressed(
+    write_arrays(
         folder / "trajectory.npz",
         time_s=trajectory.time.numpy(),
         eta=trajectory.eta[:, 0].numpy(force=True),
