@@ -24,7 +24,7 @@ from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.planner import LearningPlanner
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.estimators import estimate_each_vehicle
-from uwirl.snr.measurements import Readings, take_readings
+from uwirl.snr.measurements import Readings, readings_of_each_vehicle
 from uwirl.study import run_folder, shadowing
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.tensorboard import TensorBoard
@@ -117,7 +117,7 @@ def _stage_1(config: Config, env: Relay, origin: Origin) -> tuple[list[Readings]
     known = origin.estimate(env.channel, env.scenario.vehicles)
     if known is None:
         return estimate_each_vehicle(env, build.make_estimator(config.estimator))
-    return [take_readings(env, vehicle) for vehicle in range(env.scenario.vehicles)], known
+    return readings_of_each_vehicle(env), known
 
 
 def _settled(planner: PlannerConfig, evaluation: Evaluation) -> bool:

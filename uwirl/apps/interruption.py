@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import threading
 from collections.abc import Iterator
@@ -26,7 +27,8 @@ class Interrupted(BaseException):
     def told(self, last: Path) -> str:
         """What to say of it, given where the run's last checkpoint would be."""
         if last.is_file():
-            return f"{self}; resume={last} continues"
+            plain = re.fullmatch(r"[\w/.+-]*", str(last))
+            return f"{self}; " + (f"resume={last}" if plain else f"\"resume='{last}'\"") + " continues"
         return f"{self} before its first checkpoint; start it again with the command that started it"
 
 

@@ -72,18 +72,19 @@ def load(path: Path, device: str = "cpu") -> dict[str, Any]:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise CheckpointError(f"{path}: cannot be read ({error.strerror})") from error
+        raise CheckpointError(f"{path}: cannot be read ({error.strerror})") from None
     try:
         digests = [line.split()[0] for line in _digest_file(path).read_text().splitlines() if line.strip()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise CheckpointError(f"{path}: the sha256 beside it cannot be read") from error
+    except (OSError, UnicodeDecodeError):
+        raise CheckpointError(f"{path}: the sha256 beside it cannot be read") from None
     if hashlib.sha256(data).hexdigest() not in digests:
         raise CheckpointError(f"{path}: damaged, its sha256 differs from the one beside it")
     try:
         with warnings.catch_warnings(action="ignore"):  # about pickles that are refused anyway
             content = torch.load(io.BytesIO(data), map_location=device, weights_only=True)
-    except Exception as error:  # an unpickler fails in any way that foreign bytes can make it fail
-        raise CheckpointError(f"{path}: no checkpoint of plain data") from error
+    except Exception:  # an unpickler fails in any way that foreign bytes can make it fail
+        # Torch's own message advises to load the file without protection.
+        raise CheckpointError(f"{path}: no checkpoint of plain data") from None
     version = content.get("format_version") if isinstance(content, dict) else None
     if version != FORMAT_VERSION:
         raise CheckpointError(f"{path}: format version {version}, this program reads {FORMAT_VERSION}")
