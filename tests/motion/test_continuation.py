@@ -8,7 +8,7 @@ from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.study import checkpoint
 from uwirl.study.learning_file import history_of, learner_of, restore
 
-SHORT = ("experiment=fig5_free", "planner.max_time_s=34", "planner.tolerance_weights=0")
+SHORT = ("experiment=fig5_free", "planner.max_time_s=29", "planner.tolerance_weights=0")
 RING = "scenario.obstacles=[{center_m:[21,20],radius_m:2,influence_m:6}]"
 PAIR = "scenario.start=[[29.5,29.5,0,1],[25,20,-3,2]]"
 PARALLEL = ("experience=parallel", "experience.worlds=4", "experience.leg_s=2", "planner.max_time_s=46")

@@ -47,8 +47,8 @@ def continued(arguments: Sequence[str], config: Config) -> list[str]:
     Raises:
         CheckpointError: the checkpoint cannot be used, or the settings are not the run's; each difference is listed.
     """
-    path = checkpoint.locate(Path(config.resume or "")).resolve()
-    content = checkpoint.load(path)
+    path = checkpoint.locate(Path(config.resume or ""))
+    content, path = checkpoint.load(path), path.resolve()
     own = [argument for argument in arguments if section_of(argument) not in (*FREE, "hydra")]
     here = asdict(config if own else compose.compose(content["overrides"]))
     found = [f"{key} = {a} there, {b} here" for key, a, b in differences(content["config"], here)]

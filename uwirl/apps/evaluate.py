@@ -74,7 +74,7 @@ def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
     from uwirl.apps.continuation import key_of, without
     from uwirl.study import checkpoint
 
-    path = checkpoint.locate(Path(given[0].split("=", 1)[1])).resolve()
+    path = checkpoint.locate(Path(given[0].split("=", 1)[1]))
     content = checkpoint.load(path)
     for override in overrides:
         if key_of(override) in UNUSED:
@@ -86,7 +86,7 @@ def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
     if not flags:
         _validated(compose.compose(composing))
     folder = [] if "hydra.run.dir" in map(key_of, overrides) else [FOLDER]
-    return path, [*composing, *folder]
+    return path.resolve(), [*composing, *folder]
 
 
 def _validated(config: Config) -> Config:
