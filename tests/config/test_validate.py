@@ -17,6 +17,13 @@ PARALLEL = "experience=parallel"
 SENSORS = "scenario.sensors=[[0,0,-8],[5,0,-8],{}]"
 
 RULES = [
+    # where runs start from
+    ("checkpoint.every=0", "checkpoint.every", "must be at least 1, got 0"),
+    ("resume=''", "resume", "names no checkpoint"),
+    ("init_from=''", "init_from", "names no checkpoint"),
+    ("init_from_parts=[weight]", "init_from_parts", "did you mean 'weights'?"),
+    ("init_from_parts=[]", "init_from_parts", "needs one or both of estimate, weights"),
+    ("init_from=a.pt planner=pd", "init_from_parts", "planner=pd has no weights; choose [estimate]"),
     # scenario
     ("scenario.source_m=[0,0]", "scenario.source_m", "needs 3 finite numbers, got [0.0, 0.0]"),
     ("scenario.source_m=[0,0,nan]", "scenario.source_m", "needs 3 finite numbers"),

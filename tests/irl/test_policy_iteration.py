@@ -1,5 +1,8 @@
 """Stopping, records and refusals of policy iteration."""
 
+from dataclasses import replace
+from itertools import islice
+
 import pytest
 import torch
 
@@ -75,3 +78,48 @@ def test_too_few_rows_is_an_error():
 def test_weights_of_the_wrong_length_are_refused():
     with pytest.raises(ValueError, match="2 entries, its basis 3 features"):
         LinearActor(f16()[0].basis, torch.zeros(1, 2))
+
+
+def test_resumed_after_any_stretch_it_ends_as_if_never_interrupted():
+    problem, _ = f16()
+    stopping = StoppingRule(0.0, 60.0)
+
+    def begin():
+        actor = LinearActor(problem.basis, torch.zeros(1, 3, dtype=torch.float64))
+        return actor, LinearCritic(problem.basis), ZRecursiveLeastSquares(problem.operator, Regularisation())
+
+    actor, critic, solver = begin()
+    whole, states = [], []
+    for record in policy_iteration(stretches(problem, 7, 10.0), solver, actor, critic, 3, stopping):
+        whole.append(record)
+        if record.closes:
+            states.append((len(whole), solver.state_dict()))
+    # The first stretch has fewer rows than unknowns: it teaches nothing yet.
+    assert [count for count, _ in states] == [3, 6, 9, 12, 15]
+    for flown, (count, state) in enumerate(states, 2):
+        actor, critic, solver = begin()
+        solver.load_state_dict(state)
+        later = islice(stretches(problem, 7, 10.0), flown, None)
+        rest = list(policy_iteration(later, solver, actor, critic, 3, stopping, after=whole[count - 1]))
+        assert len(rest) == len(whole) - count
+        for found, expected in zip(rest, whole[count:], strict=True):
+            assert torch.equal(found.actor, expected.actor)
+            assert torch.equal(found.critic, expected.critic)
+            assert replace(found, actor=None, critic=None) == replace(expected, actor=None, critic=None)
+        assert torch.equal(actor.weight, whole[-1].actor)
+
+
+@pytest.mark.parametrize(("converged", "seconds"), [(True, 10.0), (False, 30.0)])
+def test_nothing_follows_the_end_of_learning(converged: bool, seconds: float):
+    actor, critic, records = run()
+    end = replace(records[-1], converged=converged, seconds=seconds)
+
+    def no_flight():
+        raise AssertionError("flew on")
+        yield
+
+    problem, _ = f16()
+    solver = ZRecursiveLeastSquares(problem.operator, Regularisation())
+    actor.weight.zero_()
+    assert list(policy_iteration(no_flight(), solver, actor, critic, 2, StoppingRule(0.0, 30.0), after=end)) == []
+    assert torch.equal(actor.weight, end.actor)

@@ -1,5 +1,7 @@
 """The exact recursive solver against batch least squares on rebuilt rows, and Bellman rows against their definition."""
 
+import io
+
 import pytest
 import torch
 
@@ -112,3 +114,59 @@ def test_classical_rls_builds_a_row_for_the_policy_of_its_day(operator, weights)
     torch.testing.assert_close(solver.solve(3.0 * weights).actor, first, rtol=0, atol=0)
     solver.add(stretch(operator, 1))
     assert not torch.allclose(solver.solve(weights).actor, first)
+
+
+def plain(state: dict) -> dict:
+    """Through a file, as a checkpoint goes, which takes plain data only."""
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    buffer.seek(0)
+    return torch.load(buffer, weights_only=True)
+
+
+BOUND = torch.full((sum(SIZES),), 0.2, dtype=torch.float64)
+FAMILIES = {
+    "z_rls": lambda operator, weights: ZRecursiveLeastSquares(operator, Regularisation(1e-7, 1e-3)),
+    "bounded_z_rls": lambda operator, weights: ZRecursiveLeastSquares(
+        operator, Regularisation(), Bounds(-BOUND, BOUND)
+    ),
+    "batch": lambda operator, weights: BatchLeastSquares(operator, Regularisation(1e-7, 1e-3)),
+    "rls_paper": lambda operator, weights: ClassicalRls(operator, weights, 1.0, 1e4, "paper"),
+    "rls_forgetting": lambda operator, weights: ClassicalRls(operator, weights, 0.99, 1e4, "exponential"),
+}
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("solved", [False, True])
+def test_a_solver_goes_on_from_its_state_bitwise(operator, weights, family, solved):
+    """Also where rows wait for their first policy; and what comes later does not change a state that was told."""
+    make = FAMILIES[family]
+    original = make(operator, weights)
+    for seed in range(3):
+        original.add(stretch(operator, seed, weight=0.4))
+    if solved:
+        original.solve(weights)
+    told = original.state_dict()
+    saved = plain(told)
+    restored = make(operator, 0.0 * weights)
+    restored.load_state_dict(saved)
+    for policy in (weights, 3.0 * weights):
+        for solver in (original, restored):
+            solver.add(stretch(operator, 7, weight=0.2))
+        for found, expected in zip(restored.solve(policy), original.solve(policy), strict=True):
+            assert torch.equal(found, expected)
+    late = make(operator, 0.0 * weights)
+    late.load_state_dict(told)
+    again = make(operator, 0.0 * weights)
+    again.load_state_dict(saved)
+    for solver in (late, again):
+        solver.add(stretch(operator, 9))
+    assert torch.equal(late.solve(weights).actor, again.solve(weights).actor)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_state_of_a_solver_that_knows_nothing_is_plain_too(operator, weights, family):
+    solver = FAMILIES[family](operator, weights)
+    solver.load_state_dict(plain(solver.state_dict()))
+    solver.add(stretch(operator, 0))
+    assert torch.isfinite(solver.solve(weights).actor).all()

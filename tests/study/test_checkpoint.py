@@ -54,6 +54,12 @@ class Malicious:
         return os.system, ("touch /tmp/uwirl_was_here",)
 
 
+def saved_with_code(path: Path) -> None:
+    """As `save` would write it."""
+    torch.save({"format_version": checkpoint.FORMAT_VERSION, "actor": Malicious()}, path)
+    sealed(path, path.read_bytes())
+
+
 def sealed(path: Path, data: bytes) -> None:
     """Replace the content and make the digest fit, as somebody who means harm would."""
     path.write_bytes(data)
@@ -66,18 +72,75 @@ def sealed(path: Path, data: bytes) -> None:
         lambda path: path.unlink(),
         lambda path: path.write_bytes(b""),
         lambda path: path.write_bytes(path.read_bytes()[:100]),
+        lambda path: path.write_bytes(b"hello"),
         flip,
         lambda path: path.with_suffix(".pt.sha256").unlink(),
+        lambda path: path.with_suffix(".pt.sha256").write_bytes(b""),
+        lambda path: path.with_suffix(".pt.sha256").write_bytes(b"\xff\xfe"),
+        lambda path: sealed(path, b""),
+        lambda path: sealed(path, path.read_bytes()[:100]),
         lambda path: sealed(path, b"hello"),
         lambda path: sealed(path, pickle.dumps(Malicious())),
+        lambda path: sealed(path, pickle.dumps([1, 2, 3], protocol=2)),
+        saved_with_code,
     ],
-    ids=["missing", "empty", "cut", "flipped bit", "no digest", "text", "code"],
+    ids=[
+        *("missing", "empty", "cut", "text", "flipped bit", "no digest", "empty digest", "foreign digest"),
+        *("sealed empty", "sealed cut", "sealed text", "sealed code", "sealed list", "code in a checkpoint"),
+    ],
 )
 def test_damage_is_one_error_that_names_the_file(saved, damage):
     damage(saved)
-    with pytest.raises(CheckpointError, match=r"last\.pt"):
+    with pytest.raises(CheckpointError, match=r"^\S+last\.pt: ") as caught:
         checkpoint.load(saved)
+    assert "weights_only" not in str(caught.value)
+    # Nor what torch would advise: to load it without protection.
+    assert caught.value.__cause__ is None
     assert not Path("/tmp/uwirl_was_here").exists()
+
+
+def test_any_flipped_byte_is_noticed(saved):
+    data = saved.read_bytes()
+    for k in range(0, len(data), 97):
+        saved.write_bytes(data[:k] + bytes([data[k] ^ 0x80]) + data[k + 1 :])
+        with pytest.raises(CheckpointError, match="damaged"):
+            checkpoint.load(saved)
+
+
+@pytest.mark.parametrize("moment", range(3))
+@pytest.mark.parametrize("renamed", [False, True])
+def test_killed_in_the_middle_of_a_save_there_is_the_old_checkpoint_or_the_new(saved, monkeypatch, moment, renamed):
+    """Before or after each of the three files is put in place, as a kill leaves it: nothing is tidied up."""
+    replace, moments = os.replace, iter(range(3))
+
+    def killed(source, target):
+        if next(moments) != moment:
+            return replace(source, target)
+        if renamed:
+            replace(source, target)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", killed)
+    monkeypatch.setattr(Path, "unlink", lambda *_, **__: None)
+    with pytest.raises(KeyboardInterrupt):
+        checkpoint.save(saved, {"iteration": 8})
+    monkeypatch.undo()
+    assert checkpoint.load(saved)["iteration"] == (8 if (moment, renamed) >= (1, True) else 7)
+    # The next save leaves nothing of it.
+    checkpoint.save(saved, {"iteration": 9})
+    assert checkpoint.load(saved)["iteration"] == 9
+    assert sorted(path.name for path in saved.parent.iterdir()) == ["last.pt", "last.pt.sha256"]
+    assert len(saved.with_suffix(".pt.sha256").read_text().splitlines()) == 1
+
+
+def test_a_run_folder_stands_for_its_last_checkpoint(saved):
+    assert checkpoint.locate(saved.parents[1]) == saved
+    assert checkpoint.locate(saved) == saved
+
+
+def test_a_run_folder_without_checkpoint_says_how_to_start_again(tmp_path):
+    with pytest.raises(CheckpointError, match=r"last\.pt: there is no checkpoint; .* start it again"):
+        checkpoint.locate(tmp_path)
 
 
 def test_future_format_is_refused(saved, monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
@@ -46,38 +47,49 @@ def run_job(composed: DictConfig) -> bool:
     """Run what Hydra composed, unless it is a sweep's and has been done before; returns whether it is complete.
 
     Raises:
-        SystemExit: the folder of a single run is that of another one.
+        SystemExit: the folder of a single run is that of another one, or the run was interrupted.
     """
     # Imported here so that a bad configuration is answered before torch is loaded.
     from uwirl.apps.algorithm import run
+    from uwirl.apps.interruption import Interrupted
+    from uwirl.apps.saving import Origin
     from uwirl.study import run_folder
+    from uwirl.study.checkpoint import CheckpointError
 
     job = HydraConfig.get()
-    folder, overrides = Path(job.runtime.output_dir), list(job.overrides.task)
+    folder, sweep = Path(job.runtime.output_dir), job.mode is RunMode.MULTIRUN
+    overrides = [text for text in job.overrides.task if not text.startswith("resume=")]
     experiment = job.runtime.choices["experiment"]
     try:
         config = compose.to_config(composed)
         validate(config)
-    except (ConfigError, OmegaConfBaseException) as error:
-        print(f"uwirl: {one_line(error)}", file=sys.stderr)
-        told = f"{type(error).__name__}: {one_line(error)}"
-        run_folder.clear(folder)
-        run_folder.write_metrics(
-            folder,
-            {
-                "status": "failed",
-                "error": told,
-                "experiment": experiment,
-                "overrides": overrides,
-                "uwirl_version": uwirl.__version__,
-            },
-        )
+        if config.resume is not None and sweep:
+            raise ConfigError("resume", "continues one run at a time, as in `uwirl resume=PATH`")
+        config_hash = Origin.of(config).config_hash(replace(config, resume=None))
+    except (ConfigError, CheckpointError, OmegaConfBaseException) as error:
+        _refuse(folder, experiment, overrides, error)
         return False
-    if job.mode is RunMode.MULTIRUN and run_folder.is_complete(folder, config):
+    if sweep and run_folder.is_complete(folder, config_hash):
         log.info("skipped: complete, in %s", folder)
         return True
-    if job.mode is RunMode.RUN and not run_folder.claim(folder, config):
-        print(f"uwirl: hydra.run.dir: {folder} holds another run, and is left as it is", file=sys.stderr)
-        sys.exit(BAD_CONFIGURATION)
+    if config.resume is None:
+        if not sweep and not run_folder.claim(folder, config):
+            print(f"uwirl: hydra.run.dir: {folder} holds another run, and is left as it is", file=sys.stderr)
+            sys.exit(BAD_CONFIGURATION)
+        run_folder.clear(folder)
+    try:
+        return run(config, experiment, folder, overrides)["status"] == "complete"
+    except Interrupted as interrupted:
+        # Not only this job: who interrupts a sweep wants it to end.
+        sys.exit(interrupted.exit_code)
+
+
+def _refuse(folder: Path, experiment: str, overrides: list[str], error: Exception) -> None:
+    """Say what is wrong with a job, in its folder too."""
+    from uwirl.study import run_folder
+
+    print(f"uwirl: {one_line(error)}", file=sys.stderr)
+    told = f"{type(error).__name__}: {one_line(error)}"
+    metrics = {"status": "failed", "error": told, "experiment": experiment, "overrides": overrides}
     run_folder.clear(folder)
-    return run(config, experiment, folder, overrides)["status"] == "complete"
+    run_folder.write_metrics(folder, metrics | {"uwirl_version": uwirl.__version__})

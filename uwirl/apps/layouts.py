@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from uwirl import build
@@ -17,6 +16,7 @@ from uwirl.motion.policy import Policy
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.study.campaign import fly
 from uwirl.study.evaluation import Evaluation
+from uwirl.study.whole_files import write_arrays
 from uwirl.world.relay import Relay
 
 log = logging.getLogger("uwirl")
@@ -53,7 +53,7 @@ def campaign(config: Config, policy_in: Callable[[Relay], Policy], folder: Path)
     names = ("kind", "feasible", "ambiguous", "collisions", "clearance", "separation", "t99", "blocked", "cost")
     fields = {name: getattr(outcomes, name).numpy(force=True) for name in names}
     start, obstacles = layouts.start.numpy(force=True), layouts.obstacles
-    np.savez_compressed(
+    write_arrays(
         folder / "layouts.npz",
         start=start,
         centre=torch.where(obstacles.present[..., None], obstacles.centre, torch.nan).numpy(force=True),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import hydra
 from hydra.errors import HydraException
@@ -22,7 +23,7 @@ def main() -> None:
     arguments = sys.argv[1:]
     # Hydra's own flags (--help, --multirun, ...) may take what compose would refuse, so they go straight to Hydra.
     if not any(argument.startswith("-") for argument in arguments):
-        _check(arguments)
+        sys.argv[1:] = _checked(arguments)
     with failed_jobs() as failures:
 
         @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="config")
@@ -36,9 +37,21 @@ def main() -> None:
         sys.exit(FAILED)
 
 
-def _check(overrides: list[str]) -> None:
+def _checked(arguments: list[str]) -> list[str]:
+    """The command line, or the one of the run that it resumes, once nothing is wrong with it."""
     try:
-        validate(compose.compose(overrides))
+        config = compose.compose(arguments)
+        validate(config)
+        if config.resume is None and config.init_from is None:
+            return arguments
+        # These need torch, which reads checkpoints.
+        from uwirl.apps.continuation import continued
+        from uwirl.study import checkpoint
+
+        if config.resume is not None:
+            return continued(arguments, config)
+        checkpoint.load(checkpoint.locate(Path(config.init_from or "")))
+        return arguments
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         print(f"uwirl: {one_line(error)}", file=sys.stderr)
         sys.exit(BAD_CONFIGURATION)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -25,6 +24,7 @@ from uwirl.snr.model import UnidentifiableError, observations
 from uwirl.snr.screening import screen
 from uwirl.study import estimate_report, run_folder
 from uwirl.study.snr_map import Grid, SnrMap, make_grid, make_map
+from uwirl.study.whole_files import write_arrays
 from uwirl.world.acoustics import Channel
 
 log = logging.getLogger("uwirl")
@@ -184,7 +184,7 @@ def _introduction(survey: Survey, counts: dict[str, int]) -> list[str]:
 
 def _write_arrays(path: Path, snr_map: SnrMap, diagnostics: Diagnostics, line: Tensor) -> None:
     """estimate.npz: the map [Y, X] over x_m and y_m, and each reading's line and residual."""
-    np.savez_compressed(
+    write_arrays(
         path,
         x_m=snr_map.grid.x.numpy(),
         y_m=snr_map.grid.y.numpy(),

@@ -250,6 +250,11 @@ class LoggingConfig:
 
 
 @dataclass
+class CheckpointConfig:
+    every: int = MISSING  # legs of the learning flight between two saves
+
+
+@dataclass
 class Config:
     scenario: ScenarioConfig = MISSING
     channel: ChannelConfig = MISSING
@@ -264,6 +269,10 @@ class Config:
     planner: PlannerConfig = MISSING
     baseline: PlannerConfig = MISSING  # flown beside a learned policy
     logging: LoggingConfig = MISSING
+    checkpoint: CheckpointConfig = field(default_factory=lambda: CheckpointConfig())
+    resume: str | None = MISSING  # a checkpoint or run folder, whose run is continued
+    init_from: str | None = MISSING  # a checkpoint or run folder, whose results a new run starts from
+    init_from_parts: list[str] = MISSING  # estimate | weights
     seed: int = MISSING
     threads: int = MISSING
     device: str = MISSING

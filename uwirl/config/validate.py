@@ -51,9 +51,26 @@ def validate(config: Config) -> None:
     check_solver(config.solver)
     check_planner(config.planner, "planner", config)
     check_planner(config.baseline, "baseline", config)
+    check_start(config)
     if config.threads < 1:
         raise ConfigError("threads", f"must be at least 1, got {config.threads}")
     if not 0 <= config.seed < 2**63:
         raise ConfigError("seed", f"must lie in [0, 2^63), got {config.seed}")
     one_of(config.device.split(":")[0], "device", ("cpu", "cuda", "mps"))
     one_of(config.dtype, "dtype", ("float64", "float32"))
+
+
+def check_start(config: Config) -> None:
+    """Where a run starts from, and how often it is saved."""
+    if config.checkpoint.every < 1:
+        raise ConfigError("checkpoint.every", f"must be at least 1, got {config.checkpoint.every}")
+    for key in ("resume", "init_from"):
+        if getattr(config, key) == "":
+            raise ConfigError(key, "names no checkpoint; give a file or a run folder")
+    parts = config.init_from_parts
+    for part in parts:
+        one_of(part, "init_from_parts", ("estimate", "weights"))
+    if not parts or len(set(parts)) < len(parts):
+        raise ConfigError("init_from_parts", f"needs one or both of estimate, weights, got {parts}")
+    if config.init_from is not None and "weights" in parts and not isinstance(config.planner, IrlConfig):
+        raise ConfigError("init_from_parts", f"planner={config.planner.name} has no weights; choose [estimate]")

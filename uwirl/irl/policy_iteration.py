@@ -45,6 +45,8 @@ class IterationRecord:
         actor: weights of the improved policy, [L, n3].
         weight_change: relative change of the actor's weights, the largest over the learners.
         converged: epsilon_3 holds.
+        rows: of experience so far, for each learner.
+        closes: whether it is the last of its stretch of experience; what follows is new experience, or the end.
     """
 
     iteration: int
@@ -53,6 +55,8 @@ class IterationRecord:
     actor: Tensor
     weight_change: float
     converged: bool
+    rows: int
+    closes: bool
 
 
 def policy_iteration(
@@ -63,18 +67,21 @@ def policy_iteration(
     updates: int,
     stopping: StoppingRule,
     seconds: float = 0.0,
+    after: IterationRecord | None = None,
 ) -> Iterator[IterationRecord]:
     """Learn from experience until the weights settle or the time is up.
 
     The actor's weights are set in place, so experience flown lazily with that actor follows the newest policy.
 
     Args:
-        experience: stretches of experience.
+        experience: stretches of experience; with `after`, those that follow it.
         solver: policy evaluation and improvement.
         actor, critic: hold the weights.
         updates: policy iterations for each stretch.
         stopping: when to stop.
         seconds: vehicle time used before, s.
+        after: a record that closed its stretch, to continue from as if never interrupted: its weights are set here;
+            the solver must know what it knew then. Nothing follows a record that ended learning.
 
     Yields:
         One record an iteration.
@@ -84,6 +91,12 @@ def policy_iteration(
     """
     unknowns = actor.weight.shape[-1] + critic.weight.shape[-1]
     iteration, rows = 0, 0
+    if after is not None:
+        iteration, rows, seconds = after.iteration, after.rows, after.seconds
+        actor.weight.copy_(after.actor)
+        critic.weight.copy_(after.critic)
+        if after.converged or seconds >= stopping.max_seconds:
+            return
     for stretch in experience:
         solver.add(stretch)
         seconds += stretch.seconds
@@ -96,8 +109,9 @@ def policy_iteration(
             critic.weight.copy_(solution.critic)
             settled = settled and change < stopping.tolerance
             iteration += 1
-            converged = settled and update == updates
-            yield IterationRecord(iteration, seconds, critic.weight.clone(), actor.weight.clone(), change, converged)
+            closes = update == updates
+            weights = critic.weight.clone(), actor.weight.clone()
+            yield IterationRecord(iteration, seconds, *weights, change, settled and closes, rows, closes)
         if settled or seconds >= stopping.max_seconds:
             break
     if not iteration:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -58,6 +58,14 @@ class Solver(Protocol):
         """Evaluate the policy [L, n3] and improve it."""
         ...
 
+    def state_dict(self) -> dict[str, Any]:
+        """All that was learned so far, as tensors, numbers and lists; later experience does not change it."""
+        ...
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from there, bitwise."""
+        ...
+
 
 class LeastSquaresPolicyEvaluation:
     """Penalties and bounds, which the recursive and the batch solver share."""
@@ -91,12 +99,21 @@ class ZRecursiveLeastSquares(LeastSquaresPolicyEvaluation):
     squares on rebuilt rows.
     """
 
+    _STATE = ("Z_flown", "Z_relabelled", "n_flown", "n_relabelled", "relabelled_weight")
+
     def __init__(self, operator: BellmanOperator, regularisation: Regularisation, bounds: Bounds | None = None):
         super().__init__(operator, regularisation, bounds)
         self.Z_flown: Tensor | None = None
         self.Z_relabelled: Tensor | None = None
         self.n_flown = self.n_relabelled = 0
         self.relabelled_weight = 0.0
+
+    def state_dict(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in self._STATE}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        for name in self._STATE:
+            setattr(self, name, state[name])
 
     def add(self, experience: Experience) -> None:
         self.Z_flown = self._accumulate(self.Z_flown, experience.flown)
@@ -132,6 +149,18 @@ class BatchLeastSquares(LeastSquaresPolicyEvaluation):
         self.flown: list[Segment] = []
         self.relabelled: list[Segment] = []
         self.relabelled_weight = 0.0
+
+    def state_dict(self) -> dict[str, Any]:
+        return {
+            "flown": [list(segment) for segment in self.flown],
+            "relabelled": [list(segment) for segment in self.relabelled],
+            "relabelled_weight": self.relabelled_weight,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.flown = [Segment(*parts) for parts in state["flown"]]
+        self.relabelled = [Segment(*parts) for parts in state["relabelled"]]
+        self.relabelled_weight = state["relabelled_weight"]
 
     def add(self, experience: Experience) -> None:
         self.flown.append(experience.flown)
@@ -182,6 +211,14 @@ class ClassicalRls:
         self.rls = RecursiveLeastSquares(operator.unknowns, weights.shape[0], kappa, p0, form, weights.dtype)
         self.rls.weight[:, operator.n2 :] = weights
         self.pending: list[Segment] = []
+
+    def state_dict(self) -> dict[str, Any]:
+        pending = [list(segment) for segment in self.pending]
+        return {"weight": self.rls.weight, "P": self.rls.P, "pending": pending}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.rls.weight, self.rls.P = state["weight"], state["P"]
+        self.pending = [Segment(*parts) for parts in state["pending"]]
 
     def add(self, experience: Experience) -> None:
         self.pending.append(experience.flown)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -26,6 +27,7 @@ from uwirl.motion.safety import Guard
 from uwirl.world.obstacles import contacts
 from uwirl.world.random import RandomStreams
 from uwirl.world.relay import Relay, Trajectory
+from uwirl.world.vehicle import VehicleState
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,37 @@ class Recorder:
         return segment.weighted(counts / (mean_cost + self.floor))
 
 
+class FlightState(NamedTuple):
+    """Where a flight stands between two legs; as all draws are counter-based, the rest of it follows from this.
+
+    Attributes:
+        components: states of the vehicles, [8, B, M].
+        step: index, from the beginning of the flight, of the next step.
+        leg: number of the next leg.
+    """
+
+    components: Tensor
+    step: int
+    leg: int
+
+    @classmethod
+    def after(cls, trajectory: Trajectory, leg: int) -> FlightState:
+        """Where a trajectory ends; a copy, which does not hold the rest of it in memory."""
+        return cls(trajectory.components[-1].clone(), trajectory.first_step + len(trajectory.tau), leg)
+
+
+class Leg(NamedTuple):
+    """One leg of a flight.
+
+    Attributes:
+        experience: what was learned from it.
+        after: where the flight stands then.
+    """
+
+    experience: Experience
+    after: FlightState
+
+
 @dataclass(frozen=True)
 class VirtualLinks:
     """One continuous flight; every leg a new virtual link is drawn, and segments are relabelled into other frames.
@@ -108,19 +141,24 @@ class VirtualLinks:
     excitation: Excitation
     pose: PoseDraw
 
-    def fly(
-        self, env: Relay, hover: Trajectory, actor: LinearActor, recorder: Recorder, guard: Guard
-    ) -> Iterator[Experience]:
-        """Stretches of experience, one a leg, flown with whatever the actor's weights are at the time.
+    def begin(self, hover: Trajectory) -> FlightState:
+        """The flight goes on where the hover ends."""
+        return FlightState.after(hover, 0)
 
-        The B M vehicles of the hover, which comes before, learn independently, L = B M.
+    def fly(
+        self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard
+    ) -> Iterator[Leg]:
+        """Legs from where a flight stands, flown with whatever the actor's weights are at the time.
+
+        The B M vehicles learn independently, L = B M.
         """
-        dt, vehicles, flown = env.scenario.dt, env.scenario.vehicles, hover
+        dt, vehicles = env.scenario.dt, env.scenario.vehicles
         steps = round(self.leg_s / dt)
-        leg = 0
         while True:
+            leg = flight.leg
             draw = leg * (1 + self.relabel)
-            flown, x = _fly_leg(env, flown, self.pose, draw, actor, recorder, self.excitation, guard, leg, steps)
+            flown, x = _fly_leg(env, flight, self.pose, draw, actor, recorder, self.excitation, guard, steps)
+            flight = FlightState.after(flown, leg + 1)
             tau, afloat = flown.tau.flatten(1, 2), _afloat(env, flown)
             weight = math.exp(-(leg + 1) * self.leg_s / self.relabel_time_s) if self.relabel else 0.0
             relabelled = None
@@ -131,8 +169,7 @@ class VirtualLinks:
                 ]
                 segments = [recorder.segment(copy, tau, afloat, dt) for copy in copies]
                 relabelled = Segment(*(torch.cat(parts) for parts in zip(*segments, strict=True)))
-            yield Experience(recorder.segment(x, tau, afloat, dt), relabelled, weight, self.leg_s)
-            leg += 1
+            yield Leg(Experience(recorder.segment(x, tau, afloat, dt), relabelled, weight, self.leg_s), flight)
 
 
 @dataclass(frozen=True)
@@ -150,48 +187,49 @@ class Parallel:
     excitation: Excitation
     pose: PoseDraw
 
+    def begin(self, hover: Trajectory) -> FlightState:
+        """All worlds begin where the first vehicle's hover ends."""
+        start = hover.components[-1, :, :1, :1].expand(-1, self.worlds, 1).contiguous()
+        return FlightState(start, hover.first_step + len(hover.tau), 0)
+
     def fly(
-        self, env: Relay, hover: Trajectory, actor: LinearActor, recorder: Recorder, guard: Guard
-    ) -> Iterator[Experience]:
-        """Stretches of experience; the vehicle seconds of all worlds are counted. One learner, L = 1."""
+        self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard
+    ) -> Iterator[Leg]:
+        """Legs from where the flights stand; the vehicle seconds of all worlds are counted. One learner, L = 1."""
         dt = env.scenario.dt
         steps = round(self.leg_s / dt)
         streams = RandomStreams(
             env.streams.seed[:1].expand(self.worlds), torch.arange(self.worlds, device=env.streams.seed.device)
         )
         env = Relay(env.scenario, env.vehicle, env.channel, streams)
-        start = hover.components[-1:, :, :1, :1].expand(-1, -1, self.worlds, 1).contiguous()
-        flown = Trajectory(start, hover.tau[:0], dt, hover.first_step + len(hover.tau))
-        leg = 0
         while True:
-            flown, x = _fly_leg(env, flown, self.pose, leg, actor, recorder, self.excitation, guard, leg, steps)
+            leg = flight.leg
+            flown, x = _fly_leg(env, flight, self.pose, leg, actor, recorder, self.excitation, guard, steps)
+            flight = FlightState.after(flown, leg + 1)
             windows = recorder.segment(x, flown.tau.flatten(1, 2), _afloat(env, flown), dt)
             pooled = Segment(*(part.flatten(0, 1).unsqueeze(1) for part in windows))
-            yield Experience(pooled, None, 0.0, self.worlds * self.leg_s)
-            leg += 1
+            yield Leg(Experience(pooled, None, 0.0, self.worlds * self.leg_s), flight)
 
 
 def _fly_leg(
     env: Relay,
-    before: Trajectory,
+    flight: FlightState,
     pose: PoseDraw,
     draw: int,
     actor: LinearActor,
     recorder: Recorder,
     excitation: Excitation,
     guard: Guard,
-    leg: int,
     steps: int,
 ) -> tuple[Trajectory, Tensor]:
-    """One excited leg, after `before`, to the virtual links of a draw; also x [n + 1, L, d]."""
-    state = before.last
-    first_step = before.first_step + len(before.tau)
+    """One excited leg to the virtual links of a draw; also x [n + 1, L, d]."""
+    state = VehicleState(flight.components)
     B, M = state.components.shape[1:]
     observer = recorder.basis.observer(env, pose.frame(env, state, draw))
-    wave = excitation.draw(env.streams, M, leg, steps, env.scenario.dt).to(state.components.dtype)
+    wave = excitation.draw(env.streams, M, flight.leg, steps, env.scenario.dt).to(state.components.dtype)
     wave = wave.view(steps, B, M, 4)
-    policy = guard(env, LinearPolicy(observer, actor, recorder.trim, wave, first_step))
-    trajectory = env.rollout(policy, state, steps, first_step)
+    policy = guard(env, LinearPolicy(observer, actor, recorder.trim, wave, flight.step))
+    trajectory = env.rollout(policy, state, steps, flight.step)
     recorder.watch(env, trajectory)
     return trajectory, observer.along(trajectory).flatten(1, 2).double()
 

@@ -71,6 +71,15 @@ class ChannelEstimate:
         zeta, rho = torch.where(told, zeta2, 0.0).sqrt(), torch.where(told, rho2, zeta2 + rho2).sqrt()
         return replace(self.known, K_dB=K, n=n, zeta_dB=zeta, varphi_m=varphi, rho_dB=rho)
 
+    def state_dict(self) -> dict[str, Any]:
+        """All but what was known before, as tensors and a number."""
+        return {name: getattr(self, name) for name in _TENSORS} | {"evaluations": self.evaluations}
+
+    @classmethod
+    def from_state(cls, state: dict[str, Any], known: Channel) -> ChannelEstimate:
+        """What `state_dict` told, and what is known of a channel."""
+        return cls(known=known, **state)
+
     def select(self, rows: Tensor) -> ChannelEstimate:
         """Those of some data sets, by a mask or numbers."""
         tensors: dict[str, Any] = {name: getattr(self, name)[rows] for name in _TENSORS}

@@ -15,7 +15,7 @@ from uwirl.snr import likelihood
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.information import Derivatives
 from uwirl.snr.likelihood import MAX_ENTRIES, ordinary
-from uwirl.snr.measurements import Readings, take_readings
+from uwirl.snr.measurements import Readings, readings_of_each_vehicle
 from uwirl.snr.model import Fading, Geometry, Spectrum, generalized_least_squares, observations
 from uwirl.snr.moments import moment_fit
 from uwirl.world.acoustics import Channel
@@ -43,7 +43,7 @@ class Estimator(Protocol):
 
 def estimate_each_vehicle(env: Relay, estimator: Estimator) -> tuple[list[Readings], ChannelEstimate]:
     """Stage 1 in the first world: each vehicle's readings, and what it estimates from them, [M] data sets."""
-    readings = [take_readings(env, vehicle) for vehicle in range(env.scenario.vehicles)]
+    readings = readings_of_each_vehicle(env)
     return readings, ChannelEstimate.join([estimator(data, env.channel) for data in readings])
 
 

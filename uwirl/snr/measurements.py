@@ -64,3 +64,8 @@ def take_readings(env: Relay, vehicle: int = 0, world: int = 0) -> Readings:
     answering = heard[0]
     snr = torch.where(heard, snr, torch.nan)[:, answering]
     return Readings(transmitters, sensors[answering], snr[None])
+
+
+def readings_of_each_vehicle(env: Relay) -> list[Readings]:
+    """Of all vehicles in the first world, before anything moves."""
+    return [take_readings(env, vehicle) for vehicle in range(env.scenario.vehicles)]

@@ -4,37 +4,40 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
-import tempfile
 import warnings
 from pathlib import Path
 from typing import Any
 
 import torch
 
-FORMAT_VERSION = 1
+from uwirl.study.whole_files import write_whole
+
+FORMAT_VERSION = 2
 
 
 class CheckpointError(ValueError):
     """A checkpoint that cannot be used; the message names the file."""
 
 
+def locate(path: Path) -> Path:
+    """The file that is meant: a run folder stands for its checkpoints/last.pt.
+
+    Raises:
+        CheckpointError: a folder without one.
+    """
+    if not path.is_dir():
+        return path
+    file = path / "checkpoints" / "last.pt"
+    if not file.is_file():
+        raise CheckpointError(
+            f"{file}: there is no checkpoint; if the run ended before its first one, or was not one that learns, start "
+            "it again with the command that started it"
+        )
+    return file
+
+
 def _digest_file(path: Path) -> Path:
     return path.with_suffix(path.suffix + ".sha256")
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Write to a temporary file in the same folder, flush it to disk, then rename it over `path`."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 def save(path: Path, content: dict[str, Any]) -> None:
@@ -43,29 +46,45 @@ def save(path: Path, content: dict[str, Any]) -> None:
     buffer = io.BytesIO()
     torch.save({"format_version": FORMAT_VERSION, **content}, buffer)
     data = buffer.getvalue()
-    # The digest goes first: a crash between the two leaves a mismatch that is noticed, never a silent mix.
-    _replace(_digest_file(path), f"{hashlib.sha256(data).hexdigest()}  {path.name}\n".encode())
-    _replace(path, data)
+    line = f"{hashlib.sha256(data).hexdigest()}  {path.name}\n".encode()
+    # Killed between two of these, the new digest and the old one both stand beside whichever file is there.
+    present = _digest_file(path).read_bytes() if _digest_file(path).is_file() else b""
+    write_whole(_digest_file(path), line + present)
+    write_whole(path, data)
+    write_whole(_digest_file(path), line)
 
 
-def load(path: Path) -> dict[str, Any]:
+def digest(path: Path) -> str:
+    """sha256 of a checkpoint's content."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def load(path: Path, device: str = "cpu") -> dict[str, Any]:
     """Load a checkpoint.
+
+    Args:
+        path: of the file.
+        device: where its tensors shall be.
 
     Raises:
         CheckpointError: missing, damaged, of another format, or holding anything but plain data.
     """
     try:
         data = path.read_bytes()
-        digest = _digest_file(path).read_text().split()[0]
-    except (OSError, IndexError) as error:
-        raise CheckpointError(f"{path}: cannot be read ({error})") from error
-    if hashlib.sha256(data).hexdigest() != digest:
+    except OSError as error:
+        raise CheckpointError(f"{path}: cannot be read ({error.strerror})") from None
+    try:
+        digests = [line.split()[0] for line in _digest_file(path).read_text().splitlines() if line.strip()]
+    except (OSError, UnicodeDecodeError):
+        raise CheckpointError(f"{path}: the sha256 beside it cannot be read") from None
+    if hashlib.sha256(data).hexdigest() not in digests:
         raise CheckpointError(f"{path}: damaged, its sha256 differs from the one beside it")
     try:
         with warnings.catch_warnings(action="ignore"):  # about pickles that are refused anyway
-            content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # an unpickler fails in any way that foreign bytes can make it fail
-        raise CheckpointError(f"{path}: no checkpoint of plain data") from error
+            content = torch.load(io.BytesIO(data), map_location=device, weights_only=True)
+    except Exception:  # an unpickler fails in any way that foreign bytes can make it fail
+        # Torch's own message advises to load the file without protection.
+        raise CheckpointError(f"{path}: no checkpoint of plain data") from None
     version = content.get("format_version") if isinstance(content, dict) else None
     if version != FORMAT_VERSION:
         raise CheckpointError(f"{path}: format version {version}, this program reads {FORMAT_VERSION}")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,31 +18,31 @@ from uwirl.config.schema import Config
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import Messages
+from uwirl.study.whole_files import write_arrays, write_whole
+
+# What may differ between two runs with the same result.
+FREE = ("logging", "checkpoint", "resume")
 
 # What a run writes besides config.yaml and run.log.
 RESULTS = ("metrics.json", "trajectory.npz", "layouts.npz", "checkpoints", "figures", "tb")
 
 
-def config_hash(config: Config | EstimateConfig) -> str:
-    """Hash of everything that changes the result: not of logging."""
-    return _hash(asdict(config))
+def config_hash(config: Config | EstimateConfig, start: str | None = None) -> str:
+    """Hash of everything that changes the result: not of logging, checkpoints and paths.
 
-
-def _hash(settings: dict[str, Any]) -> str:
-    relevant = {key: value for key, value in settings.items() if key != "logging"}
+    Args:
+        config: the settings.
+        start: digest of the checkpoint that a run starts from.
+    """
+    relevant = _relevant(asdict(config))
+    if "init_from" in relevant:
+        relevant["init_from"] = start
     return hashlib.sha256(json.dumps(relevant, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def write_config(folder: Path, config: Config | EstimateConfig) -> None:
     """config.yaml, resolved."""
-    (folder / "config.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(asdict(config))))
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """A file that is there whole or not at all."""
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_bytes(content)
-    os.replace(temporary, path)
+    write_whole(folder / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(asdict(config))).encode())
 
 
 def write_metrics(folder: Path, metrics: dict[str, Any]) -> None:
@@ -66,13 +66,18 @@ def read_metrics(folder: Path) -> dict[str, Any]:
     return metrics
 
 
-def is_complete(folder: Path, config: Config) -> bool:
-    """Whether a folder holds the results of this configuration."""
+def is_complete(folder: Path, config_hash: str) -> bool:
+    """Whether a folder holds the results of the configuration with this hash."""
     try:
         metrics = read_metrics(folder)
     except (OSError, ValueError):
         return False
-    return metrics["status"] == "complete" and metrics.get("config_hash") == config_hash(config)
+    return metrics["status"] == "complete" and metrics.get("config_hash") == config_hash
+
+
+def _relevant(settings: Mapping[Any, Any]) -> dict[str, Any]:
+    """Those that change the result; equal numbers count as equal."""
+    return {str(key): value for key, value in settings.items() if key not in FREE}
 
 
 def claim(folder: Path, config: Config) -> bool:
@@ -87,7 +92,7 @@ def claim(folder: Path, config: Config) -> bool:
         except Exception:
             # Damaged in whatever way, it is not this configuration.
             return False
-        return isinstance(settings, dict) and _hash({str(k): v for k, v in settings.items()}) == config_hash(config)
+        return isinstance(settings, dict) and _relevant(settings) == _relevant(asdict(config))
     return True
 
 
@@ -133,7 +138,7 @@ def write_trajectory(folder: Path, evaluation: Evaluation, messages: Messages) -
     shadowing link_capacity_shadowed_kbps [k, M + 1] at message_time_s [k].
     """
     trajectory = evaluation.trajectory
-    np.savez_compressed(
+    write_arrays(
         folder / "trajectory.npz",
         time_s=trajectory.time.numpy(),
         eta=trajectory.eta[:, 0].numpy(force=True),

@@ -1,0 +1,83 @@
+"""From the command line of a resumed or evaluated run to the one that composes its settings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from uwirl.config import compose
+from uwirl.config.schema import Config
+from uwirl.study import checkpoint
+from uwirl.study.checkpoint import CheckpointError
+from uwirl.study.run_folder import FREE
+
+ABSENT = "absent"
+
+
+def key_of(override: str) -> str:
+    """`planner` of planner=irl and of +planner.x=1: the section of the settings that an override is about."""
+    return override.split("=", 1)[0].lstrip("+~")
+
+
+def section_of(override: str) -> str:
+    """`planner` of planner.x=1."""
+    return key_of(override).split(".")[0]
+
+
+def without(overrides: Iterable[str], others: Sequence[str]) -> list[str]:
+    """Overrides whose keys none of some others has, which then take their place."""
+    keys = {key_of(other) for other in others}
+    return [override for override in overrides if key_of(override) not in keys]
+
+
+def quoted(path: Path) -> str:
+    """A path as Hydra reads it whatever is in it, like the = and , of a sweep's folders."""
+    return "'" + str(path).replace("\\", "\\\\").replace("'", "\\'") + "'"
+
+
+def continued(arguments: Sequence[str], config: Config) -> list[str]:
+    """The command line that continues a run in its own folder.
+
+    Args:
+        arguments: the command line; but for those of FREE it says nothing, or the same as the run's.
+        config: what it composes, with `resume`.
+
+    Raises:
+        CheckpointError: the checkpoint cannot be used, or the settings are not the run's; each difference is listed.
+    """
+    path = checkpoint.locate(Path(config.resume or ""))
+    content, path = checkpoint.load(path), path.resolve()
+    own = [argument for argument in arguments if section_of(argument) not in (*FREE, "hydra")]
+    here = asdict(config if own else compose.compose(content["overrides"]))
+    found = [f"{key} = {a} there, {b} here" for key, a, b in differences(content["config"], here)]
+    if found:
+        why = "leave them out to continue it" if own else "the program's defaults have changed since"
+        raise CheckpointError(f"resume: {path} was run with other settings ({why}): {'; '.join(found)}")
+    free = [a for a in arguments if section_of(a) in FREE and key_of(a) != "resume"]
+    hydra = [argument for argument in arguments if section_of(argument) == "hydra"]
+    if "hydra.run.dir" not in map(key_of, hydra):
+        if path.parent.name != "checkpoints":
+            raise CheckpointError(
+                f"resume: {path} lies in no run folder; say where to continue with hydra.run.dir=PATH"
+            )
+        hydra.append(f"hydra.run.dir={quoted(path.parents[1])}")
+    return [*without(content["overrides"], free), *free, f"resume={quoted(path)}", *hydra]
+
+
+def differences(there: dict[str, Any], here: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Key, value there and value here, wherever two configurations differ in what changes the result."""
+    a, b = dict(_flat(there)), dict(_flat(here))
+    for key in a | b:
+        x, y = a.get(key, ABSENT), b.get(key, ABSENT)
+        if x != y and section_of(key) not in FREE:
+            yield key, x, y
+
+
+def _flat(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value

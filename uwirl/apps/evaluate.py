@@ -1,0 +1,99 @@
+"""`uwirl-evaluate checkpoint=PATH [overrides]`: what was learned, flown without learning, wherever overrides say."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, one_line
+from uwirl.config import compose
+from uwirl.config.schema import Config, IrlConfig, register
+from uwirl.config.validate import ConfigError, validate
+
+# Settings of the run that the checkpoint is from which an evaluation has no use for.
+UNUSED = ("resume", "init_from", "init_from_parts")
+FOLDER = "hydra.run.dir='outputs/evaluation/${now:%Y-%m-%d_%H-%M-%S_%f}'"
+
+
+def main() -> None:
+    """Entry point. Exits 2, with one message and no run folder, on a bad configuration; 1 if the evaluation failed."""
+    register()
+    try:
+        path, sys.argv[1:] = _checked(sys.argv[1:])
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
+        print(f"uwirl-evaluate: {one_line(error)}", file=sys.stderr)
+        sys.exit(BAD_CONFIGURATION)
+    failures: list[str] = []
+
+    @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="config")
+    def job(composed: DictConfig) -> None:
+        from uwirl.apps.evaluation import run
+        from uwirl.apps.interruption import Interrupted
+
+        settings = HydraConfig.get()
+        try:
+            config = _validated(compose.to_config(composed))
+        except (ConfigError, OmegaConfBaseException) as error:
+            print(f"uwirl-evaluate: {one_line(error)}", file=sys.stderr)
+            failures.append(str(error))
+            return
+        try:
+            metrics = run(config, settings.runtime.choices["experiment"], Path(settings.runtime.output_dir), path)
+        except Interrupted as interrupted:
+            sys.exit(interrupted.exit_code)
+        if metrics["status"] != "complete":
+            failures.append(metrics["error"])
+
+    job()
+    if failures:
+        sys.exit(FAILED)
+
+
+def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
+    """The checkpoint, and the command line that composes its run's settings with the overrides.
+
+    Raises:
+        CheckpointError, ConfigError, HydraException, OmegaConfBaseException: what is wrong.
+    """
+    given = [argument for argument in arguments if argument.startswith("checkpoint=")]
+    overrides = [argument for argument in arguments if argument not in given]
+    flags = [argument for argument in arguments if argument.startswith("-")]
+    if not given and flags:
+        # Only --help and the like make sense.
+        return Path(), overrides
+    if len(given) != 1:
+        raise ConfigError("checkpoint", "give one file or run folder, as in `uwirl-evaluate checkpoint=PATH`")
+    # Imported here because they need torch.
+    from uwirl.apps.continuation import key_of, without
+    from uwirl.study import checkpoint
+
+    path = checkpoint.locate(Path(given[0].split("=", 1)[1]))
+    content = checkpoint.load(path)
+    for override in overrides:
+        if key_of(override) in UNUSED:
+            raise ConfigError(key_of(override), "has no use in an evaluation, which learns nothing")
+        if key_of(override) == "planner":
+            raise ConfigError("planner", "is the one that learned the checkpoint's policy; fly others with `uwirl`")
+    saved = [override for override in content["overrides"] if key_of(override) not in UNUSED]
+    composing = [*without(saved, overrides), *overrides]
+    if not flags:
+        _validated(compose.compose(composing))
+    folder = [] if "hydra.run.dir" in map(key_of, overrides) else [FOLDER]
+    return path.resolve(), [*composing, *folder]
+
+
+def _validated(config: Config) -> Config:
+    validate(config)
+    assert isinstance(config.planner, IrlConfig)  # of which alone there are checkpoints
+    return config
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""What every run does around its work: the time it took, how it ended, metrics.json."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import uwirl
+from uwirl.apps.interruption import Interrupted, Interruption
+from uwirl.irl.policy_iteration import InadmissiblePolicyError, InsufficientDataError
+from uwirl.motion.targets import NoTargetError
+from uwirl.snr.model import UnidentifiableError
+from uwirl.study import run_folder
+from uwirl.study.checkpoint import CheckpointError
+from uwirl.world.relay import DivergedError
+
+log = logging.getLogger("uwirl")
+
+# What a run may end in without being a bug: its message goes into metrics.json.
+FAILURES = (
+    CheckpointError,
+    DivergedError,
+    InadmissiblePolicyError,
+    InsufficientDataError,
+    UnidentifiableError,
+    NoTargetError,
+    ArithmeticError,
+    torch.linalg.LinAlgError,
+)
+
+
+def recorded(
+    work: Callable[[dict[str, Any], Interruption], None], experiment: str, seed: int, folder: Path
+) -> dict[str, Any]:
+    """Do the work of a run and write metrics.json.
+
+    Args:
+        work: puts its results into the metrics that it is given.
+        experiment, seed: as named.
+        folder: of the run.
+
+    Returns:
+        What metrics.json holds; `status` is "failed", with `error`, after one of FAILURES. Anything else that is raised
+        is written there too, and raised on.
+    """
+    started = time.perf_counter()
+    metrics: dict[str, Any] = {
+        "status": "failed",
+        "error": None,
+        "experiment": experiment,
+        "config_hash": None,
+        "seed": seed,
+        "uwirl_version": uwirl.__version__,
+    }
+    try:
+        with Interruption() as interruption:
+            work(metrics, interruption)
+        metrics["status"] = "complete"
+    except FAILURES as error:
+        metrics["error"] = f"{type(error).__name__}: {error}"
+        log.error("failed: %s", error)
+    except Interrupted as error:
+        metrics["error"] = error.told(folder / "checkpoints" / "last.pt")
+        log.error("%s", metrics["error"])
+        raise
+    except BaseException as error:
+        metrics["error"] = f"{type(error).__name__}: {error}"
+        raise
+    finally:
+        metrics["wall_time_s"] = time.perf_counter() - started
+        run_folder.write_metrics(folder, metrics)
+    log.info("%s in %.1f s; everything lies in %s", metrics["status"], metrics["wall_time_s"], folder)
+    return metrics

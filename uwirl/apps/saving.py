@@ -1,0 +1,123 @@
+"""A run's checkpoints: what it continues or starts from, and what it leaves behind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import uwirl
+from uwirl.config.schema import Config
+from uwirl.irl.policy_iteration import IterationRecord
+from uwirl.motion.planner import IrlPlanner, LearnerState, LearningPlanner, Planner
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.study import checkpoint, run_folder
+from uwirl.study.learning_file import features_of, history_of, learner_of, restore, take_estimate, take_weights
+from uwirl.world.acoustics import Channel
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a run starts from: from nothing, from another run's results, or where a run was interrupted.
+
+    Attributes:
+        parts: what is taken over: estimate, weights, or everything.
+        path, content: of the checkpoint.
+    """
+
+    parts: tuple[str, ...] = ()
+    path: Path = Path()
+    content: dict[str, Any] | None = None
+
+    @classmethod
+    def of(cls, config: Config) -> Origin:
+        """Raises CheckpointError if the checkpoint cannot be used."""
+        place = config.resume or config.init_from
+        if place is None:
+            return cls()
+        path = checkpoint.locate(Path(place))
+        parts = ("estimate", "everything") if config.resume else tuple(config.init_from_parts)
+        return cls(parts, path, checkpoint.load(path, config.device))
+
+    def config_hash(self, config: Config) -> str:
+        """Of a run from here; that of the interrupted one if it is continued."""
+        if self.content is None:
+            return run_folder.config_hash(config)
+        if "everything" in self.parts:
+            return self.content["config_hash"]
+        return run_folder.config_hash(config, checkpoint.digest(self.path))
+
+    def estimate(self, known: Channel, vehicles: int) -> ChannelEstimate | None:
+        """The channel estimate to take over, if there is one."""
+        if self.content is None or "estimate" not in self.parts:
+            return None
+        return take_estimate(self.path, self.content, known, vehicles)
+
+    def give_weights(self, planner: Planner) -> None:
+        """Let a planner start from the weights to take over, if there are some."""
+        content = self.content
+        if content is not None and "weights" in self.parts and isinstance(planner, IrlPlanner):
+            planner.given = lambda basis, learners: take_weights(self.path, content, basis, learners)
+
+    def learner(self) -> tuple[LearnerState | None, list[IterationRecord]]:
+        """The learner to continue, if there is one, and its records so far."""
+        if self.content is None or "everything" not in self.parts:
+            return None, []
+        return restore(self.path, self.content)
+
+
+class Checkpoints:
+    """Writes checkpoints/last.pt and best.pt.
+
+    Args:
+        folder: of the run.
+        config: its settings.
+        config_hash: of them.
+        overrides: the command line that composes them.
+    """
+
+    def __init__(self, folder: Path, config: Config, config_hash: str, overrides: Sequence[str]):
+        self.folder = folder / "checkpoints"
+        self.every = config.checkpoint.every
+        self.run = {
+            "uwirl_version": uwirl.__version__,
+            "config": asdict(config),
+            "config_hash": config_hash,
+            "overrides": list(overrides),
+        }
+
+    def last(
+        self,
+        planner: LearningPlanner,
+        estimate: ChannelEstimate,
+        records: Sequence[IterationRecord],
+        metrics: dict[str, Any] | None = None,
+    ) -> None:
+        """The newest policy, and all that is needed to go on learning."""
+        learner = {"learner": learner_of(planner.state), "history": history_of(records)}
+        content = self._policy(planner, estimate, records[-1]) | learner | {"metrics": metrics or {}}
+        checkpoint.save(self.folder / "last.pt", content)
+
+    def best(
+        self,
+        planner: LearningPlanner,
+        estimate: ChannelEstimate,
+        records: Sequence[IterationRecord],
+        costs: Sequence[float],
+    ) -> None:
+        """The policy of the lowest of its missions' costs J, which learning need not end with."""
+        k = min(range(len(costs)), key=costs.__getitem__)
+        content = self._policy(planner, estimate, records[k]) | {"cost_total": costs[k]}
+        checkpoint.save(self.folder / "best.pt", content)
+
+    def _policy(self, planner: LearningPlanner, estimate: ChannelEstimate, record: IterationRecord) -> dict[str, Any]:
+        return self.run | {
+            "iteration": record.iteration,
+            "vehicle_seconds": record.seconds,
+            "critic": record.critic,
+            "actor": record.actor,
+            "trim": planner.policy.trim,
+            "features": features_of(planner.basis),
+            "estimate": estimate.state_dict(),
+        }

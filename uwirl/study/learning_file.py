@@ -1,0 +1,125 @@
+"""What a checkpoint says of a learner, and back: its state, what it did so far, and what another run may take over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from uwirl.irl.networks import Basis
+from uwirl.irl.policy_iteration import IterationRecord
+from uwirl.motion.experience import FlightState
+from uwirl.motion.planner import LearnerState
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.study.checkpoint import CheckpointError
+from uwirl.world.acoustics import Channel
+
+_NUMBERS = ("iteration", "seconds", "weight_change", "converged", "rows", "closes")
+
+
+def history_of(records: Sequence[IterationRecord]) -> dict[str, Any]:
+    """Records as plain data: a list of each number, critics [K, L, n2] and actors [K, L, n3]."""
+    lists: dict[str, Any] = {name: [getattr(record, name) for record in records] for name in _NUMBERS}
+    return lists | {name: torch.stack([getattr(record, name) for record in records]) for name in ("critic", "actor")}
+
+
+def records_of(history: dict[str, Any]) -> list[IterationRecord]:
+    """The records behind `history_of`."""
+    names = (*_NUMBERS, "critic", "actor")
+    rows = zip(*(history[name] for name in names), strict=True)
+    return [IterationRecord(**dict(zip(names, row, strict=True))) for row in rows]
+
+
+def learner_of(state: LearnerState) -> dict[str, Any]:
+    """A learner's state as plain data, but for its newest record, which is the last of its history."""
+    return {
+        "flight": dict(state.flight._asdict()),
+        "solver": state.solver,
+        "trim": state.trim,
+        "start_weights": state.start_weights,
+        "contacts": state.contacts,
+    }
+
+
+def restore(path: Path, content: dict[str, Any]) -> tuple[LearnerState, list[IterationRecord]]:
+    """A learner's state, and its records so far.
+
+    Raises:
+        CheckpointError: the checkpoint holds a policy alone.
+    """
+    if "learner" not in content:
+        raise CheckpointError(f"{path}: holds a policy but no learner to continue; resume from last.pt")
+    learner, records = content["learner"], records_of(content["history"])
+    flight = FlightState(**learner["flight"])
+    return LearnerState(**{**learner, "record": records[-1], "flight": flight}), records
+
+
+def features_of(basis: Basis) -> dict[str, Any]:
+    """Names of a basis' features: what its weights mean."""
+    return {"critic": list(basis.critic_names), "actor": [list(names) for names in basis.actor_names]}
+
+
+def take_estimate(path: Path, content: dict[str, Any], known: Channel, vehicles: int) -> ChannelEstimate:
+    """The channel estimate of another run; that of one vehicle serves any number.
+
+    Args:
+        path: of the checkpoint, for messages.
+        content: of the checkpoint.
+        known: what is known of the channel here.
+        vehicles: M.
+
+    Raises:
+        CheckpointError: it is of several vehicles, and not of so many.
+    """
+    estimate = ChannelEstimate.from_state(content["estimate"], known)
+    found = len(estimate.value)
+    if found not in (1, vehicles):
+        raise CheckpointError(
+            f"{path}: channel estimates of {found} vehicles, shape {_shape(estimate.value)}; {vehicles} vehicles need "
+            f"({vehicles}, 5) or (1, 5), which serves all"
+        )
+    return estimate if found == vehicles else ChannelEstimate.join([estimate] * vehicles)
+
+
+def take_weights(path: Path, content: dict[str, Any], basis: Basis, learners: int) -> Tensor:
+    """The actor's weights of another run, [L, n3]; one set of them serves any number of learners.
+
+    Args:
+        path: of the checkpoint, for messages.
+        content: of the checkpoint.
+        basis: whose weights they shall be.
+        learners: L.
+
+    Raises:
+        CheckpointError: other features, or several sets of weights and not so many.
+    """
+    theirs = [name for axis in content["features"]["actor"] for name in axis]
+    ours = [name for axis in basis.actor_names for name in axis]
+    if content["features"]["actor"] != features_of(basis)["actor"]:
+        unknown, missing = sorted(set(theirs) - set(ours)), sorted(set(ours) - set(theirs))
+        raise CheckpointError(
+            f"{path}: {len(theirs)} weights of another basis, {len(ours)} are needed; only in the checkpoint: "
+            f"{', '.join(unknown) or 'none'}; only here: {', '.join(missing) or 'none'}"
+        )
+    weights: Tensor = content["actor"]
+    if len(weights) not in (1, learners):
+        raise CheckpointError(
+            f"{path}: actor weights {_shape(weights)}, where {_shape(weights.new_empty(learners, len(ours)))} or one "
+            f"set for all, (1, {len(ours)}), are needed (experience=parallel learns one)"
+        )
+    return weights.expand(learners, -1).clone()
+
+
+def take_trim(path: Path, content: dict[str, Any], learners: int) -> Tensor:
+    """tau that holds a vehicle at rest, as learned in another run, [L, 4]."""
+    trim: Tensor = content["trim"]
+    if len(trim) not in (1, learners):
+        raise CheckpointError(f"{path}: trim {_shape(trim)}, where ({learners}, 4) or (1, 4) is needed")
+    return trim.expand(learners, -1).clone()
+
+
+def _shape(tensor: Tensor) -> str:
+    return str(tuple(tensor.shape))
