@@ -70,7 +70,7 @@ def test_on_its_own_scenario_it_flies_what_the_run_flew(source, tmp_path):
     fly(tmp_path, f"checkpoint={source}")
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     expected = json.loads((source / "metrics.json").read_text())
-    own = {"config_hash", "wall_time_s", "checkpoint", "checkpoint_iteration"}
+    own = {"config_hash", "wall_time_s", "checkpoint", "checkpoint_iteration", "overrides"}
     assert {key: value for key, value in metrics.items() if key not in own} == {
         key: value for key, value in expected.items() if key not in own | LEARNING
     }

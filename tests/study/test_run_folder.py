@@ -32,13 +32,14 @@ def test_damaged_configuration_is_anothers(make_config, tmp_path, content: bytes
 
 def test_complete_means_this_configuration(make_config, tmp_path):
     config = make_config()
-    metrics = {"status": "complete", "config_hash": run_folder.config_hash(config)}
-    assert not run_folder.is_complete(tmp_path, config)
+    wanted_hash = run_folder.config_hash(config)
+    metrics = {"status": "complete", "config_hash": wanted_hash}
+    assert not run_folder.is_complete(tmp_path, wanted_hash)
     for wanted, changed in [(True, {}), (False, {"status": "failed"}), (False, {"config_hash": "0"})]:
         write(tmp_path, json.dumps(metrics | changed))
-        assert run_folder.is_complete(tmp_path, config) is wanted
+        assert run_folder.is_complete(tmp_path, wanted_hash) is wanted
     write(tmp_path, json.dumps(metrics)[:-5])
-    assert not run_folder.is_complete(tmp_path, config)
+    assert not run_folder.is_complete(tmp_path, wanted_hash)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"status": "done"}', "\x00", "[" * 100_000])

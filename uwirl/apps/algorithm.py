@@ -12,6 +12,7 @@ import torch
 
 from uwirl import build
 from uwirl.apps import pictures
+from uwirl.apps.continuation import section_of
 from uwirl.apps.interruption import Interruption
 from uwirl.apps.judge import Judge
 from uwirl.apps.layouts import campaign
@@ -51,27 +52,33 @@ def run(config: Config, experiment: str, folder: Path, overrides: Sequence[str] 
     def work(metrics: dict[str, Any], interruption: Interruption) -> None:
         origin = Origin.of(config)
         settings = replace(config, resume=None)
-        metrics |= {"overrides": list(overrides), "config_hash": origin.config_hash(settings)}
+        told = [override for override in overrides if section_of(override) not in run_folder.FREE]
+        metrics |= {"overrides": told, "config_hash": origin.config_hash(settings)}
         run_folder.write_config(folder, settings)
         checkpoints = Checkpoints(folder, settings, metrics["config_hash"], overrides)
-        metrics |= _algorithm_1(settings, folder, origin, checkpoints, interruption)
+        with TensorBoard(folder / "tb" if config.logging.tensorboard else None) as board:
+            board.config(settings)
+            metrics |= _algorithm_1(settings, folder, origin, checkpoints, interruption, board)
+            board.compare(experiment, config.seed, overrides, metrics)
 
     return recorded(work, experiment, config.seed, folder)
 
 
 @torch.no_grad()
 def _algorithm_1(
-    config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints, interruption: Interruption
+    config: Config,
+    folder: Path,
+    origin: Origin,
+    checkpoints: Checkpoints,
+    interruption: Interruption,
+    board: TensorBoard,
 ) -> dict[str, Any]:
-    board = TensorBoard(folder / "tb") if config.logging.tensorboard else None
     env = build.make_relay(config)
 
     readings, estimate = _stage_1(config, env, origin)
     for line in str(estimate).splitlines():
         log.info("channel estimate: %s", line)
-    if board:
-        board.config(config)
-        board.estimate(estimate)
+    board.estimate(estimate)
 
     planner = build.make_planner(config, config.planner, env)
     origin.give_weights(planner)
@@ -100,17 +107,13 @@ def _algorithm_1(
         metrics |= {"cost_total_start_policy": float(start.cost[0]), "cost_per_iteration": costs}
         checkpoints.best(planner, estimate, records, costs)
         checkpoints.last(planner, estimate, records, metrics)
-        if board:
-            board.cost_per_iteration(costs)
+        board.cost_per_iteration(costs)
     messages = shadowing.messages(env, evaluation.trajectory)
     run_folder.write_trajectory(folder, evaluation, messages)
     picture = pictures.mission(config.logging, folder, env, evaluation, messages, records, planner)
-    if board:
-        board.evaluation(evaluation, messages)
-        if picture:
-            board.picture(picture)
-        board.compare(config, metrics)
-        board.close()
+    board.evaluation(evaluation, messages)
+    if picture:
+        board.picture(picture)
     for line in table(rows):
         log.info("%s", line)
     return metrics

@@ -32,7 +32,7 @@ def _collect(folder: Path) -> int:
     # Imported here so that a mistyped folder is answered before torch is loaded.
     from uwirl.study.collection import collect
     from uwirl.study.collection_report import csv_table, markdown
-    from uwirl.study.run_folder import write_whole
+    from uwirl.study.whole_files import write_whole
 
     found = collect(folder)
     if not found.jobs and not found.incomplete:

@@ -26,7 +26,7 @@ def learn(
     origin: Origin,
     checkpoints: Checkpoints,
     interruption: Interruption,
-    board: TensorBoard | None,
+    board: TensorBoard,
 ) -> list[IterationRecord]:
     """Fit the planner; returns its records, those of before an interruption too.
 
@@ -43,8 +43,7 @@ def learn(
         for record in planner.iterate(env, estimate, state):
             records.append(record)
             progress.update(record)
-            if board:
-                board.iteration(record, planner.basis)
+            board.iteration(record, planner.basis)
             if record.closes:
                 if interruption.number is not None or planner.state.flight.leg % checkpoints.every == 0:
                     checkpoints.last(planner, estimate, records)

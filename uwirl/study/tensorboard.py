@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -35,14 +35,20 @@ COLOURS = ((31, 119, 180), (255, 127, 14), (44, 160, 44), (214, 39, 40), (148, 1
 
 
 class TensorBoard:
-    """Writes one run's events.
+    """Writes one run's events, and closes them whatever the run ends in.
 
     Args:
-        folder: where the event files go.
+        folder: where the event files go; None for nowhere.
     """
 
-    def __init__(self, folder: Path):
-        self.writer = SummaryWriter(str(folder))
+    def __init__(self, folder: Path | None):
+        self.writer: Any = _Nowhere() if folder is None else SummaryWriter(str(folder))
+
+    def __enter__(self) -> TensorBoard:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.writer.close()
 
     def config(self, config: Config) -> None:
         """The resolved settings as text."""
@@ -86,9 +92,10 @@ class TensorBoard:
             self.writer.add_scalar("capacity/min_shadowed_kbps", value, round(1000.0 * time))
         for term, value in evaluation.cost_terms.items():
             self.writer.add_scalar(f"cost/{term}", float(value[0]), 0)
-        path = evaluation.trajectory.eta[::every, 0, :, :3].float().cpu()
+        path = evaluation.trajectory.eta[:, 0, :, :3].float().cpu()
         colours = torch.tensor([COLOURS[i % len(COLOURS)] for i in range(path.shape[1])], dtype=torch.uint8)
-        self.writer.add_mesh("path", path.flatten(0, 1)[None], colours.repeat(len(path), 1)[None])
+        points = {"material": {"cls": "PointsMaterial", "size": 0.5}}
+        self.writer.add_mesh("path", path.flatten(0, 1)[None], colours.repeat(len(path), 1)[None], config_dict=points)
 
     def picture(self, path: Path) -> None:
         """A figure that has been drawn; needs matplotlib, which drew it."""
@@ -96,30 +103,37 @@ class TensorBoard:
 
         self.writer.add_image(f"figures/{path.stem}", imread(path)[..., :3], dataformats="HWC")
 
-    def compare(self, config: Config, metrics: Mapping[str, Any]) -> None:
-        """Settings beside results, so that runs of a sweep can be compared in parallel coordinates.
+    def compare(self, experiment: str, seed: int, overrides: Sequence[str], metrics: Mapping[str, Any]) -> None:
+        """What was asked for beside results, so that runs of a sweep can be compared in parallel coordinates.
 
-        The summaries are written one by one, because `SummaryWriter.add_hparams` would make a second run.
+        The summaries are written one by one, because `SummaryWriter.add_hparams` would make a second run. All settings
+        would be a hundred coordinates: they stand in the text `config`.
+
+        Args:
+            experiment: its name.
+            seed: of the run.
+            overrides: as on the command line, key=value.
+            metrics: of which COMPARED are shown.
         """
-        settings = {key: value for key, value in _flat(asdict(config)).items() if not key.startswith("logging.")}
+        pairs = (override.lstrip("+~").partition("=")[::2] for override in overrides)
+        settings = {key: _number_or_text(value) for key, value in pairs if not key.startswith(("logging", "hydra"))}
+        settings |= {"experiment": experiment, "seed": seed}
         results = {name: metrics[name] for name in COMPARED if isinstance(metrics.get(name), (int, float))}
         for summary in hparams(settings, {f"result/{name}": value for name, value in results.items()}):
             self.writer._get_file_writer().add_summary(summary)
         for name, value in results.items():
             self.writer.add_scalar(f"result/{name}", value, 0)
 
-    def close(self) -> None:
-        self.writer.close()
+
+class _Nowhere:
+    """A writer that writes nothing."""
+
+    def __getattr__(self, name: str) -> Callable[..., _Nowhere]:
+        return lambda *args, **kwargs: self
 
 
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, bool | int | float | str]:
-    """Leaves by their dotted keys; lists, which are no coordinate, as text, nothing for null."""
-    leaves: dict[str, bool | int | float | str] = {}
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            leaves |= _flat(value, f"{prefix}{key}.")
-        elif isinstance(value, (bool, int, float, str)):
-            leaves[prefix + key] = value
-        elif value is not None:
-            leaves[prefix + key] = str(value)
-    return leaves
+def _number_or_text(value: str) -> float | str:
+    try:
+        return float(value)
+    except ValueError:
+        return value
