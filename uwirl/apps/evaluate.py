@@ -72,10 +72,10 @@ def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
         raise ConfigError("checkpoint", "give one file or run folder, as in `uwirl-evaluate checkpoint=PATH`")
     # Imported here because they need torch.
     from uwirl.apps.continuation import key_of, without
-    from uwirl.study import checkpoint
+    from uwirl.study import checkpoint, learning_file
 
     path = checkpoint.locate(Path(given[0].split("=", 1)[1]))
-    content = checkpoint.load(path)
+    content = learning_file.load(path)
     for override in overrides:
         if key_of(override) in UNUSED:
             raise ConfigError(key_of(override), "has no use in an evaluation, which learns nothing")

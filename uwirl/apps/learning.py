@@ -37,6 +37,8 @@ def learn(
     state, records = origin.learner()
     if state is not None:
         log.info("continues after iteration %d, %.0f s of flight", state.record.iteration, state.record.seconds)
+    # A run that is continued in another folder tells there what came before.
+    logged = len(records) if board and board.continues else 0
     progress = Progress(config.planner.max_time_s, config.logging.progress)
     # A leg that is cut short teaches nothing, and would not be flown again the same from where it was cut.
     with interruption.postponed():
@@ -44,10 +46,14 @@ def learn(
             records.append(record)
             progress.update(record)
             if board:
-                board.iteration(record, planner.basis)
+                for new in records[logged:]:
+                    board.iteration(new, planner.basis)
+                logged = len(records)
             if record.closes:
                 if interruption.number is not None or planner.state.flight.leg % checkpoints.every == 0:
                     checkpoints.last(planner, estimate, records)
+                    if board:
+                        board.flush()
                 interruption.check()
         progress.close()
         checkpoints.last(planner, estimate, records)

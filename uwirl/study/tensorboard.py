@@ -17,9 +17,13 @@ class TensorBoard:
 
     Args:
         folder: where the event files go.
+
+    Attributes:
+        continues: whether there are some of an interrupted run already.
     """
 
     def __init__(self, folder: Path):
+        self.continues = folder.exists()
         self.writer = SummaryWriter(str(folder))
 
     def estimate(self, estimate: ChannelEstimate) -> None:
@@ -54,6 +58,10 @@ class TensorBoard:
             self.writer.add_scalar("capacity/min_kbps", float(capacity[step]), milliseconds)
         for term, value in evaluation.cost_terms.items():
             self.writer.add_scalar(f"cost/{term}", float(value[0]), 0)
+
+    def flush(self) -> None:
+        """Write what is waiting, lest it be lost if the run is killed."""
+        self.writer.flush()
 
     def close(self) -> None:
         self.writer.close()
