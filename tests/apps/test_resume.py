@@ -93,8 +93,9 @@ def finish(folder: Path, call: Callable[..., None]) -> None:
         # Its log goes on in the same file.
         assert "continues after iteration" in (folder / "run.log").read_text()
         return
-    with pytest.raises(CheckpointError, match="start it again with the command that started it"):
-        checkpoint.locate(folder)
+    if folder.exists():
+        with pytest.raises(CheckpointError, match="start it again with the command that started it"):
+            checkpoint.locate(folder)
     go(folder, *SHORT)
 
 
@@ -282,3 +283,33 @@ def test_missing_checkpoint_is_one_line_and_leaves_nothing(tmp_path, monkeypatch
     assert caught.value.code == 2
     assert capsys.readouterr().err == "uwirl: nowhere.pt: cannot be read (No such file or directory)\n"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_tensorboard_tells_every_iteration_once(whole, tmp_path):
+    """Resumed in the folder of its events after one more iteration than was saved, and in another folder."""
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    on = (*SHORT, "logging.tensorboard=true", "checkpoint.every=1")
+    saved = []
+
+    def stop(self, planner, *rest):
+        last(self, planner, *rest)
+        saved.append(planner.state.flight.leg)
+        if len(saved) == 3:
+            raise KeyboardInterrupt
+
+    last = saving.Checkpoints.last
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(saving.Checkpoints, "last", stop)
+        with pytest.raises(KeyboardInterrupt):
+            go(tmp_path / "a", *on)
+    for folder in ("b", "a"):
+        go(tmp_path / folder, *on, f"resume={tmp_path / 'a'}")
+        events = EventAccumulator(str(tmp_path / folder / "tb")).Reload().Scalars("learning/weight_change")
+        assert [event.step for event in events] == list(range(1, 25))
+
+
+def test_foreign_plain_data_is_no_run(tmp_path):
+    checkpoint.save(tmp_path / "x.pt", {"actor": torch.zeros(1, 3)})
+    with pytest.raises(CheckpointError, match=r"x\.pt: lacks config, config_hash, overrides"):
+        continued([f"resume={tmp_path / 'x.pt'}"], compose([f"resume={tmp_path / 'x.pt'}"]))

@@ -9,7 +9,7 @@ from typing import Any
 
 from uwirl.config import compose
 from uwirl.config.schema import Config
-from uwirl.study import checkpoint
+from uwirl.study import checkpoint, learning_file
 from uwirl.study.checkpoint import CheckpointError
 from uwirl.study.run_folder import FREE
 
@@ -48,7 +48,7 @@ def continued(arguments: Sequence[str], config: Config) -> list[str]:
         CheckpointError: the checkpoint cannot be used, or the settings are not the run's; each difference is listed.
     """
     path = checkpoint.locate(Path(config.resume or ""))
-    content, path = checkpoint.load(path), path.resolve()
+    content, path = learning_file.load(path), path.resolve()
     own = [argument for argument in arguments if section_of(argument) not in (*FREE, "hydra")]
     here = asdict(config if own else compose.compose(content["overrides"]))
     found = [f"{key} = {a} there, {b} here" for key, a, b in differences(content["config"], here)]

@@ -63,19 +63,19 @@ def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
         CheckpointError, ConfigError, HydraException, OmegaConfBaseException: what is wrong.
     """
     given = [argument for argument in arguments if argument.startswith("checkpoint=")]
-    overrides = [argument for argument in arguments if argument not in given]
     flags = [argument for argument in arguments if argument.startswith("-")]
+    overrides = [argument for argument in arguments if argument not in given + flags]
     if not given and flags:
         # Only --help and the like make sense.
-        return Path(), overrides
+        return Path(), [*flags, *overrides]
     if len(given) != 1:
         raise ConfigError("checkpoint", "give one file or run folder, as in `uwirl-evaluate checkpoint=PATH`")
     # Imported here because they need torch.
     from uwirl.apps.continuation import key_of, without
-    from uwirl.study import checkpoint
+    from uwirl.study import checkpoint, learning_file
 
     path = checkpoint.locate(Path(given[0].split("=", 1)[1]))
-    content = checkpoint.load(path)
+    content = learning_file.load(path)
     for override in overrides:
         if key_of(override) in UNUSED:
             raise ConfigError(key_of(override), "has no use in an evaluation, which learns nothing")
@@ -86,7 +86,7 @@ def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
     if not flags:
         _validated(compose.compose(composing))
     folder = [] if "hydra.run.dir" in map(key_of, overrides) else [FOLDER]
-    return path.resolve(), [*composing, *folder]
+    return path.resolve(), [*flags, *composing, *folder]
 
 
 def _validated(config: Config) -> Config:

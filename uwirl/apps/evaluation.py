@@ -19,7 +19,7 @@ from uwirl.config.schema import Config
 from uwirl.motion.planner import IrlPlanner
 from uwirl.snr.measurements import readings_of_each_vehicle
 from uwirl.study import checkpoint, run_folder, shadowing
-from uwirl.study.learning_file import take_estimate, take_trim, take_weights
+from uwirl.study.learning_file import load, take_estimate, take_trim, take_weights
 
 log = logging.getLogger("uwirl")
 
@@ -39,7 +39,7 @@ def run(config: Config, experiment: str, folder: Path, path: Path) -> dict[str, 
     torch.set_num_threads(config.threads)
 
     def work(metrics: dict[str, Any], interruption: Interruption) -> None:
-        content = checkpoint.load(path, config.device)
+        content = load(path, config.device)
         metrics["config_hash"] = run_folder.config_hash(config, checkpoint.digest(path))
         metrics |= {"checkpoint": str(path), "checkpoint_iteration": content["iteration"]}
         run_folder.write_config(folder, config)

@@ -37,16 +37,21 @@ def learn(
     state, records = origin.learner()
     if state is not None:
         log.info("continues after iteration %d, %.0f s of flight", state.record.iteration, state.record.seconds)
+    # A run that is continued in another folder tells there what came before.
+    logged = len(records) if board.continues else 0
     progress = Progress(config.planner.max_time_s, config.logging.progress)
     # A leg that is cut short teaches nothing, and would not be flown again the same from where it was cut.
     with interruption.postponed():
         for record in planner.iterate(env, estimate, state):
             records.append(record)
             progress.update(record)
-            board.iteration(record, planner.basis)
+            for new in records[logged:]:
+                board.iteration(new, planner.basis)
+            logged = len(records)
             if record.closes:
                 if interruption.number is not None or planner.state.flight.leg % checkpoints.every == 0:
                     checkpoints.last(planner, estimate, records)
+                    board.flush()
                 interruption.check()
         progress.close()
         checkpoints.last(planner, estimate, records)

@@ -46,11 +46,11 @@ def _checked(arguments: list[str]) -> list[str]:
             return arguments
         # These need torch, which reads checkpoints.
         from uwirl.apps.continuation import continued
-        from uwirl.study import checkpoint
+        from uwirl.study import checkpoint, learning_file
 
         if config.resume is not None:
             return continued(arguments, config)
-        checkpoint.load(checkpoint.locate(Path(config.init_from or "")))
+        learning_file.load(checkpoint.locate(Path(config.init_from or "")))
         return arguments
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         print(f"uwirl: {one_line(error)}", file=sys.stderr)

@@ -13,7 +13,7 @@ from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.planner import IrlPlanner, LearnerState, LearningPlanner, Planner
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study import checkpoint, run_folder
-from uwirl.study.learning_file import features_of, history_of, learner_of, restore, take_estimate, take_weights
+from uwirl.study.learning_file import features_of, history_of, learner_of, load, restore, take_estimate, take_weights
 from uwirl.world.acoustics import Channel
 
 
@@ -38,7 +38,7 @@ class Origin:
             return cls()
         path = checkpoint.locate(Path(place))
         parts = ("estimate", "everything") if config.resume else tuple(config.init_from_parts)
-        return cls(parts, path, checkpoint.load(path, config.device))
+        return cls(parts, path, load(path, config.device))
 
     def config_hash(self, config: Config) -> str:
         """Of a run from here; that of the interrupted one if it is continued."""

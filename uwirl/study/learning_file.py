@@ -14,10 +14,30 @@ from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.experience import FlightState
 from uwirl.motion.planner import LearnerState
 from uwirl.snr.estimate import ChannelEstimate
+from uwirl.study import checkpoint
 from uwirl.study.checkpoint import CheckpointError
 from uwirl.world.acoustics import Channel
 
+# Without these no run can have written it.
+NEEDED = ("config", "config_hash", "overrides", "estimate", "actor", "trim", "features", "iteration")
 _NUMBERS = ("iteration", "seconds", "weight_change", "converged", "rows", "closes")
+
+
+def load(path: Path, device: str = "cpu") -> dict[str, Any]:
+    """Load a run's checkpoint.
+
+    Args:
+        path: of the file.
+        device: where its tensors shall be.
+
+    Raises:
+        CheckpointError: see `checkpoint.load`; or no run has written it.
+    """
+    content = checkpoint.load(path, device)
+    missing = [name for name in NEEDED if name not in content]
+    if missing:
+        raise CheckpointError(f"{path}: lacks {', '.join(missing)}")
+    return content
 
 
 def history_of(records: Sequence[IterationRecord]) -> dict[str, Any]:

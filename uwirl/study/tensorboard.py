@@ -39,9 +39,13 @@ class TensorBoard:
 
     Args:
         folder: where the event files go; None for nowhere.
+
+    Attributes:
+        continues: whether there are some of an interrupted run already.
     """
 
     def __init__(self, folder: Path | None):
+        self.continues = folder is not None and folder.exists()
         self.writer: Any = _Nowhere() if folder is None else SummaryWriter(str(folder))
 
     def __enter__(self) -> TensorBoard:
@@ -49,6 +53,10 @@ class TensorBoard:
 
     def __exit__(self, *error: object) -> None:
         self.writer.close()
+
+    def flush(self) -> None:
+        """Write what is waiting, lest it be lost if the run is killed."""
+        self.writer.flush()
 
     def config(self, config: Config) -> None:
         """The resolved settings as text."""
