@@ -7,11 +7,9 @@ import subprocess
 import sys
 
 import pytest
-from hydra.errors import HydraException
-from omegaconf.errors import OmegaConfBaseException
 
 from uwirl.config.compose import compose, folder
-from uwirl.config.validate import validate
+from uwirl.config.validate import ConfigError, validate
 
 GROUPS = [
     "experiment",
@@ -31,7 +29,6 @@ GROUPS = [
 ]
 FILES = [(group, path.stem) for group in GROUPS for path in sorted((folder() / group).glob("*.yaml"))]
 NAMED = ["estimator", "basis", "safety", "guidance", "solver", "planner", "experience"]
-
 
 # What a choice asks for besides.
 NEEDS = {("basis", "geodesic"): ["experience=parallel"]}
@@ -105,7 +102,7 @@ def test_command_line_beats_the_experiments_choice(make_config):
     [
         ("scenario.duration=80", "scenario.duration"),
         ("speed=3", "speed"),
-        ("planner=dp", "planner/dp"),
+        ("planner=dp", "planner"),
         ("vessel=bluerov2", "vessel"),
         ("planner.position_gain=[1,1,1,1]", "planner.position_gain"),  # the baseline's, not the learner's
         ("scenario.dt_s=soon", "scenario.dt_s"),
@@ -113,9 +110,9 @@ def test_command_line_beats_the_experiments_choice(make_config):
     ],
 )
 def test_unknown_keys_and_wrong_types_are_refused(override: str, named: str):
-    with pytest.raises((HydraException, OmegaConfBaseException)) as caught:
+    with pytest.raises(ConfigError) as caught:
         compose([override])
-    assert named in str(caught.value)
+    assert caught.value.key == named
 
 
 def test_configuration_imports_no_torch():
@@ -123,7 +120,7 @@ def test_configuration_imports_no_torch():
     program = (
         "import json, sys\n"
         "from uwirl.config.compose import compose\n"
-        "from uwirl.config.validate import validate\n"
+        "from uwirl.config.validate import ConfigError, validate\n"
         "validate(compose())\n"
         "print(json.dumps([name for name in ('torch', 'numpy', 'hydra') if name in sys.modules]))\n"
     )

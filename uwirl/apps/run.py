@@ -6,12 +6,11 @@ import sys
 from pathlib import Path
 
 import hydra
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
 from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
 
-from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, one_line
+from uwirl.apps.command_line import FAILED, answer, say
 from uwirl.config import compose
 from uwirl.config.schema import register
 from uwirl.config.validate import ConfigError, validate
@@ -20,40 +19,40 @@ from uwirl.config.validate import ConfigError, validate
 def main() -> None:
     """Entry point. Exits 2, with one message and no run folder, on a bad configuration; 1 if the run failed."""
     register()
-    arguments = sys.argv[1:]
-    # Hydra's own flags (--help, --multirun, ...) may take what compose would refuse, so they go straight to Hydra.
-    if not any(argument.startswith("-") for argument in arguments):
-        _check(arguments)
+    answer("uwirl", "config", lambda composed: validate(compose.to_config(composed)))
     failures: list[str] = []
 
     @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="config")
     def job(composed: DictConfig) -> None:
-        # Imported here so that a bad configuration is answered before torch is loaded.
-        from uwirl.apps.algorithm import run
-
-        runtime = HydraConfig.get().runtime
-        try:
-            config = compose.to_config(composed)
-            validate(config)
-        except (ConfigError, OmegaConfBaseException) as error:
-            print(f"uwirl: {one_line(error)}", file=sys.stderr)
-            failures.append(str(error))
-            return
-        metrics = run(config, runtime.choices["experiment"], Path(runtime.output_dir))
-        if metrics["status"] != "complete":
-            failures.append(metrics["error"])
+        error = _job(composed)
+        if error:
+            failures.append(error)
 
     job()
     if failures:
         sys.exit(FAILED)
 
 
-def _check(overrides: list[str]) -> None:
+def _job(composed: DictConfig) -> str | None:
+    """Run one job in its folder; what it failed of, or None."""
+    runtime = HydraConfig.get().runtime
+    experiment, folder = str(runtime.choices["experiment"]), Path(runtime.output_dir)
+    config = None
     try:
-        validate(compose.compose(overrides))
-    except (HydraException, OmegaConfBaseException, ValueError) as error:
-        print(f"uwirl: {one_line(error)}", file=sys.stderr)
-        sys.exit(BAD_CONFIGURATION)
+        config = compose.to_config(composed)
+        compose.check_composed(composed, runtime.choices, GlobalHydra.instance().config_loader())
+        validate(config)
+    except ConfigError as error:
+        # One command line was checked before, so this is a job of a multirun.
+        from uwirl.apps.refusal import write_refusal
+
+        say("uwirl", error)
+        write_refusal(folder, experiment, config, error)
+        return str(error)
+    # Imported here so that a bad configuration is answered before torch is loaded.
+    from uwirl.apps.algorithm import run
+
+    return run(config, experiment, folder)["error"]
 
 
 if __name__ == "__main__":
