@@ -19,11 +19,12 @@ Groups and their options (* is the default):
 Settings outside groups: {keys}
 
   {example}
-docs/configuration.md lists every key with its unit; `{program} --cfg job` prints the configuration and runs nothing.
+docs/configuration.md lists every key with its unit.
 
   key=null  key=[1,2]  'key="a, b"'    values; quote what the shell would take apart
   --multirun key=1,2,3 group=a,b       one job for each combination
   --config-dir FOLDER                  options of your own, as FOLDER/GROUP/OPTION.yaml
+  --cfg job                            print the configuration, run nothing
   --hydra-help                         Hydra's own flags
 """
 PURPOSE = {

@@ -31,7 +31,7 @@ def samples(words: Sequence[str], loader: ConfigLoader) -> Iterator[list[str]]:
 
 def _alternatives(word: str, loader: ConfigLoader) -> list[str]:
     parsed(word)
-    override = OverridesParser.create(config_loader=loader).parse_override(word)
+    (override,) = OverridesParser.create(config_loader=loader).parse_overrides([word])
     if not override.is_sweep_override():
         return [word]
     key = word.partition("=")[0]
