@@ -56,7 +56,7 @@ def test_one_message_and_nothing_left(tmp_path: Path, overrides: str, message: s
 def test_a_broken_rule_can_be_looked_at(tmp_path: Path):
     result = command(tmp_path, "--cfg", "job", "channel.n=-1")
     assert (result.returncode, result.stderr) == (0, "")
-    assert "n: -1\n" in result.stdout
+    assert "'n': -1.0" in result.stdout
     assert list(tmp_path.iterdir()) == []
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import MISSING, DictConfig
 
 WORDS = {int: "whole number", float: "number", bool: "true or false", str: "text"}
 
@@ -27,11 +27,13 @@ class Setting:
         key: within its section, with dots where schemas are nested; `[]` after a list of them.
         type: in words.
         comment: behind the field, or above it.
+        default: the schema's own, `...` where only YAML files give one.
     """
 
     key: str
     type: str
     comment: str
+    default: Any = ...
 
 
 def is_schema(option: str) -> bool:
@@ -48,8 +50,8 @@ def words(annotation: Any) -> str:
     if dataclasses.is_dataclass(annotation):
         return "group of settings"
     if typing.get_origin(annotation) is list:
-        items = words(options[0])
-        return "list" if items == "any" else f"list of {items}s".replace("groups of settingss", "groups of settings")
+        items = words(options[0]).replace("group of settings", "groups of setting")
+        return "list" if items == "any" else f"list of {items}s"
     return WORDS.get(annotation, "any")
 
 
@@ -74,12 +76,20 @@ def settings(schema: type) -> tuple[Setting, ...]:
     for field in dataclasses.fields(schema):
         annotation = field_types(schema)[field.name]
         owner = next(c for c in reversed(schema.__mro__) if field.name in vars(c).get("__annotations__", {}))
-        found.append(Setting(field.name, words(annotation), _comments(owner).get(field.name, "")))
+        comment = _comments(owner).get(field.name, "")
+        found.append(Setting(field.name, words(annotation), comment, _default(field)))
         inner = nested(annotation)
         if inner is not None:
             several = "[]" if typing.get_origin(annotation) is list else ""
             found += [dataclasses.replace(s, key=f"{field.name}{several}.{s.key}") for s in settings(inner)]
     return tuple(found)
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    if field.default_factory is not dataclasses.MISSING:
+        value = field.default_factory()
+        return ... if dataclasses.is_dataclass(value) else value
+    return ... if field.default in (dataclasses.MISSING, MISSING) else field.default
 
 
 @cache
