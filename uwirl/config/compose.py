@@ -60,12 +60,13 @@ def composed(name: str, overrides: Sequence[str], config_dir: str | None = None,
         ConfigError: unknown keys, groups, options or types, or an ablation that is undone.
     """
     with searching(config_dir) as loader:
-        check_overrides(overrides, loader, name)
+        groups = chosen(loader, name)
+        check_overrides(overrides, loader, groups)
         try:
             config = hydra.compose(name, list(overrides), return_hydra_config=True)
             choices = dict(config.hydra.runtime.choices)
         except REFUSALS as error:
-            raise explained(error, overrides, chosen(loader, name), partial(holders, loader, name)) from None
+            raise explained(error, overrides, groups, partial(holders, loader, groups)) from None
         with open_dict(config):
             del config["hydra"]
         check_composed(config, choices, loader if ablation else None)

@@ -39,11 +39,11 @@ def load(loader: ConfigLoader, path: str) -> DictConfig | None:
     return None
 
 
-def holders(loader: ConfigLoader, name: str, key: str) -> list[str]:
+def holders(loader: ConfigLoader, defaults: Mapping[str, str], key: str) -> list[str]:
     """Options, such as `planner=pd`, whose files set a key."""
     section, _, leaf = key.partition(".")
     found = []
-    for entry in chosen(loader, name):
+    for entry in defaults:
         group, _, package = entry.partition("@")
         if (package or group) == section and leaf:
             files = {option: load(loader, f"{group}/{option}") for option in options(loader, group)}
@@ -79,8 +79,13 @@ def parsed(override: str) -> Override:
         raise ConfigError(key or override, f"{value or override!r} cannot be read ({reason}); {rule}") from None
 
 
-def check_overrides(words: Sequence[str], loader: ConfigLoader, name: str) -> None:
+def check_overrides(words: Sequence[str], loader: ConfigLoader, defaults: Mapping[str, str]) -> None:
     """Refuse what cannot be read, groups and options that are not there, and deletions.
+
+    Args:
+        words: the command line.
+        loader: that finds the files.
+        defaults: groups of the primary configuration and their options.
 
     Raises:
         ConfigError: the first of them.
@@ -89,7 +94,6 @@ def check_overrides(words: Sequence[str], loader: ConfigLoader, name: str) -> No
     # Files of a search path that is itself overridden are Hydra's to find.
     if any(override.key_or_group == "hydra.searchpath" for override in overrides):
         return
-    defaults = chosen(loader, name)
     groups = loader.list_groups("")
     packages = {group.partition("@")[2]: group for group in defaults if "@" in group}
     for override in overrides:

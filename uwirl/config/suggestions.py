@@ -154,6 +154,11 @@ def explained(
         return ConfigError(key, f"has no value{where}; give it one with {key}=VALUE")
     if isinstance(cause, InterpolationResolutionError):
         return ConfigError(key, f"refers to what is not there{where}: {first_line(cause)}")
+    return _by_text(error, cause, text, key, overrides)
+
+
+def _by_text(error: BaseException, cause: Any, text: str, key: str, overrides: Sequence[str]) -> ConfigError:
+    """What only Hydra's wording tells."""
     if isinstance(cause, (AssertionError, AttributeError)):
         for section, filled in FILLED_BY.items():
             if any(override.lstrip("+~").startswith(section) for override in overrides):
