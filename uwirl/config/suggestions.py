@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import re
+import typing
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from omegaconf import DictConfig, ListConfig
+from omegaconf import Container, DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import (
     ConfigAttributeError,
     ConfigIndexError,
@@ -96,21 +97,36 @@ def check_known(
             everywhere = [key for key in keys(root) if not key.startswith(f"{prefix}{name}")]
             raise unknown_key(f"{prefix}{name}", [*known, *extra], everywhere)
         child = config._get_node(name)
+        if known is not None:
+            _check_shape(config, name, known[name], f"{prefix}{name}")
         for key, part in _parts(child, f"{prefix}{name}"):
             check_known(part, (), f"{key}.", root)
 
 
+def _check_shape(config: DictConfig, name: str, annotation: Any, key: str) -> None:
+    """OmegaConf takes lists for numbers within a list, and any value for a section that is an interpolation."""
+    node = config._get_node(name)
+    if isinstance(node, ListConfig) and _filled(node) and set(typing.get_args(annotation)) & {int, float, str}:
+        for i in range(len(node)):
+            if isinstance(node._get_node(i), (DictConfig, ListConfig)):
+                raise ConfigError(f"{key}[{i}]", f"is an entry of a {words(annotation)}, which holds no lists or keys")
+    if isinstance(node, Container) and node._is_interpolation():
+        value = OmegaConf.select(config, name, throw_on_resolution_failure=False)
+        if not (value is None or isinstance(value, Container)):
+            raise ConfigError(key, f"must be a {words(annotation)}, but refers to {value!r}")
+
+
+def _filled(node: Any) -> bool:
+    return not (node._is_none() or node._is_missing() or node._is_interpolation())
+
+
 def _parts(node: Any, key: str) -> list[tuple[str, DictConfig]]:
     """A section, or the sections of a list, that hold keys."""
-    if isinstance(node, ListConfig) and not (node._is_none() or node._is_missing() or node._is_interpolation()):
+    if isinstance(node, ListConfig) and _filled(node):
         items = [(f"{key}[{i}]", node._get_node(i)) for i in range(len(node))]
     else:
         items = [(key, node)]
-    return [
-        (k, item)
-        for k, item in items
-        if isinstance(item, DictConfig) and not (item._is_none() or item._is_missing() or item._is_interpolation())
-    ]
+    return [(k, item) for k, item in items if isinstance(item, DictConfig) and _filled(item)]
 
 
 def explained(
