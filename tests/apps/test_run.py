@@ -204,10 +204,23 @@ def test_multirun_goes_on_after_a_bad_job(tmp_path):
     result = subprocess.run([*command, *quiet], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert result.returncode == 1
     assert "planner.saturation_m: must be greater than 0, got -4" in result.stderr
-    found = [json.loads(path.read_text()) for path in tmp_path.rglob("metrics.json")]
-    errors = [metrics["error"] for metrics in found if metrics["status"] == "failed"]
-    assert errors == ["ConfigError: planner.saturation_m: must be greater than 0, got -4"]
-    assert [metrics["status"] for metrics in found].count("complete") == 2
+    written = {path.parent.name: json.loads(path.read_text()) for path in tmp_path.rglob("metrics.json")}
+    status = {name.split("planner.saturation_m=")[1].split(",")[0]: job["status"] for name, job in written.items()}
+    assert status == {"4": "complete", "-4": "failed", "5": "complete"}
+    (failed,) = (job for job in written.values() if job["status"] == "failed")
+    assert failed["error"] == "ConfigError: planner.saturation_m: must be greater than 0, got -4"
+    assert failed["experiment"] == "fig5_single"
+    assert (failed["seed"], len(failed["config_hash"])) == (0, 16)
+
+
+def test_multirun_refuses_ablations_that_are_undone_one_by_one(tmp_path):
+    words = ["-m", "planner=pd", "ablation=none,no_shadowing", "channel.zeta_dB=0.1", *QUICK[2:]]
+    command = [sys.executable, "-m", "uwirl.apps.run", *words]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    errors = [json.loads(path.read_text())["error"] for path in sorted(tmp_path.rglob("metrics.json"))]
+    undone = "ConfigError: channel.zeta_dB: 0.1 undoes ablation=no_shadowing, which sets 0.0; drop one of the two"
+    assert sorted(errors, key=str) == [undone, None]
 
 
 def test_installed_wheel_runs_from_another_folder(tmp_path):

@@ -1,41 +1,125 @@
-"""The console entry on a bad configuration: exit code 2, one message with the key, nothing left behind."""
+"""The console entries before Hydra takes over: help, and one message with exit code 2 that leaves nothing behind."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from uwirl.apps.command_line import read_flags
+from uwirl.config.checks import ConfigError
+from uwirl.config.compose import searching
+from uwirl.config.estimate_schema import register
+from uwirl.config.help import help_text
+from uwirl.config.sweeps import samples
 
-def uwirl(folder: Path, *overrides: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "uwirl.apps.run", *overrides]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+PROGRAMS = {"uwirl": "config", "uwirl-estimate": "estimate"}
+
+
+def command(folder: Path, *words: str, module: str = "run") -> subprocess.CompletedProcess[str]:
+    words = (sys.executable, "-m", f"uwirl.apps.{module}", *words)
+    return subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.parametrize(
-    ("override", "key"),
+    ("overrides", "message"),
     [
-        ("cost.R=[0.1,0.1,-1,0.1]", "cost.R"),  # breaks a rule
-        ("solver.name=z_rsl", "solver.name"),  # one letter from a name
-        ("scenario.dt_s=soon", "scenario.dt_s"),  # the wrong type
+        ("cost.R=[0.1,0.1,-1,0.1]", "cost.R: must be positive definite"),  # breaks a rule
+        ("scenario.duration=80", "scenario.duration: no such key; did you mean 'scenario.duration_s'?"),
+        ("+channel.zeta=3", "channel.zeta: no such key; did you mean 'channel.zeta_dB'?"),
+        ("channel=papr", "channel: 'papr' is none of"),
+        ("scenario.dt_s=soon", "scenario.dt_s: must be a number, got soon"),
+        ("ablation=no_map guidance=geodesic", "guidance: 'geodesic' undoes ablation=no_map"),
+        ("scenario.start=[[1,2", "scenario.start: '[[1,2' cannot be read"),
+        # A typo is every job's.
+        ("--multirun seed=1,2 channel.zeta=3", "channel.zeta: no such key"),
+        ("seed=1,x hydra.mode=MULTIRUN", "seed: must be a whole number, got x"),
+        ("--multirun channel=paper,papr", "channel: 'papr' is none of"),
+        ("--config-dir . channel.zeta=3", "channel.zeta: no such key"),
+        ("--config-dir nowhere", "--config-dir: "),
+        ("--cfg job sed=3", "sed: no such key; did you mean 'seed'?"),
+        ("--mutirun seed=1,2", "--mutirun: no such flag; did you mean '--multirun'"),
     ],
 )
-def test_bad_value_is_one_line(tmp_path: Path, override: str, key: str):
-    result = uwirl(tmp_path, override)
+def test_one_message_and_nothing_left(tmp_path: Path, overrides: str, message: str):
+    result = command(tmp_path, *overrides.split())
     assert result.returncode == 2
+    assert result.stderr.startswith(f"uwirl: {message}")
     assert result.stderr.count("\n") == 1
-    assert result.stderr.startswith("uwirl: ")
-    assert key in result.stderr
     assert result.stdout == ""
     assert list(tmp_path.iterdir()) == []
 
 
-def test_unknown_key_leaves_nothing(tmp_path: Path):
-    result = uwirl(tmp_path, "scenario.duration=80")
-    assert result.returncode == 2
-    assert result.stderr.startswith("uwirl: ")
-    assert "scenario.duration" in result.stderr
-    assert "Traceback" not in result.stderr
+def test_a_broken_rule_can_be_looked_at(tmp_path: Path):
+    result = command(tmp_path, "--cfg", "job", "channel.n=-1")
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "'n': -1.0" in result.stdout
     assert list(tmp_path.iterdir()) == []
+
+
+def test_multirun_of_a_bad_log_leaves_metrics(tmp_path: Path):
+    result = command(tmp_path, "-m", "max_readings=100,200", "data=log.csv", module="estimate")
+    assert result.returncode == 1
+    written = [json.loads(path.read_text()) for path in tmp_path.rglob("metrics.json")]
+    assert [job["status"] for job in written] == ["failed", "failed"]
+    assert all(job["error"].startswith("ConfigError: data: log.csv does not exist") for job in written)
+
+
+@pytest.mark.parametrize(("program", "name"), PROGRAMS.items())
+def test_help_lists_options_and_no_schema(program: str, name: str):
+    register()
+    with searching() as loader:
+        text = help_text(program, name, loader)
+    assert "channel " in text
+    assert "acoustic_24khz" in text
+    assert "schema" not in text
+    assert max(map(len, text.splitlines())) <= 120
+
+
+@pytest.mark.parametrize("module", ["run", "estimate"])
+@pytest.mark.parametrize("words", [["--help"], ["channel.zeta=3"], ["channel=papr"]], ids=" ".join)
+def test_answers_load_nothing_heavy(tmp_path: Path, module: str, words: list[str]):
+    program = (
+        "import sys\n"
+        f"from uwirl.apps.{module} import main\n"
+        f"sys.argv = ['uwirl', *{words!r}]\n"
+        "try: main()\n"
+        "finally: print([name for name in ('torch', 'numpy', 'matplotlib') if name in sys.modules])\n"
+    )
+    result = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert result.returncode == (0 if words == ["--help"] else 2)
+    assert result.stdout.splitlines()[-1] == "[]"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_knows_the_users_own_options(tmp_path: Path):
+    (tmp_path / "channel").mkdir()
+    (tmp_path / "channel" / "lake.yaml").write_text("defaults: [paper]\n")
+    with searching(str(tmp_path)) as loader:
+        assert "acoustic_24khz, lake, *paper" in help_text("uwirl", "config", loader)
+
+
+def test_flags():
+    flags = read_flags(["-m", "seed=1,2", "channel=paper"])
+    assert (flags.multirun, flags.overrides) == (True, ["seed=1,2", "channel=paper"])
+    with pytest.raises(ConfigError, match="seed=2: stands behind a flag"):
+        read_flags(["seed=1", "-m", "seed=2"])
+    with pytest.raises(ConfigError, match="expected one argument"):
+        read_flags(["--config-dir"])
+
+
+def test_samples_are_the_jobs_that_differ_in_kind():
+    words = ["seed=1,2,x", "channel=paper,acoustic_24khz", "channel.n=range(1,900)", "threads=1"]
+    register()
+    with searching() as loader:
+        jobs = list(samples(words, loader))
+        assert jobs == [
+            ["seed=1", "channel=paper", "channel.n=1", "threads=1"],
+            ["seed=x", "channel=paper", "channel.n=1", "threads=1"],
+            ["seed=1", "channel=acoustic_24khz", "channel.n=1", "threads=1"],
+        ]
+        assert list(samples(["channel.n=interval(1,5)"], loader)) == [["channel.n=1.0"], ["channel.n=5.0"]]
+        assert len(list(samples(["channel=glob(*)"], loader))) >= 2

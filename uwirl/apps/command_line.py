@@ -1,21 +1,88 @@
-"""What every command does with bad input: one line on stderr, and an exit code."""
+"""What every command does before Hydra takes over: help, and one message with exit code 2 for bad input."""
 
 from __future__ import annotations
 
+import argparse
+import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+
+from hydra._internal.utils import get_args_parser
+from omegaconf import DictConfig
+
+from uwirl.config.checks import ConfigError
+from uwirl.config.compose import composed, searching
+from uwirl.config.help import help_text
+from uwirl.config.suggestions import did_you_mean, similar
+from uwirl.config.sweeps import samples
 
 BAD_CONFIGURATION = 2
 FAILED = 1
 
 
-def one_line(error: BaseException) -> str:
-    """The message, with the first line of what caused it, which is where Hydra puts the reason."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    cause = str(error.__cause__).splitlines()[:1] if error.__cause__ else []
-    return "; ".join(lines + [line for line in cause if line not in lines])
+def answer(program: str, name: str, check: Callable[[DictConfig], None]) -> None:
+    """Answer --help and bad input, before any folder exists; return if Hydra is to run.
+
+    Args:
+        program: its name.
+        name: of the primary configuration; its schema is registered.
+        check: rules of what was composed; raises ValueError or OSError.
+
+    Raises:
+        SystemExit: 0 after help, BAD_CONFIGURATION after one message.
+    """
+    try:
+        flags = read_flags(sys.argv[1:])
+        if flags.help:
+            with searching(flags.config_dir) as loader:
+                print(help_text(program, name, loader))
+            sys.exit(0)
+        # What shows, or runs, something else than this configuration is Hydra's affair.
+        others = (flags.hydra_help, flags.shell_completion, flags.experimental_rerun, flags.info)
+        if any(others) or flags.config_path or flags.config_name:
+            return
+        if flags.multirun or any(word.startswith("hydra.mode=") for word in flags.overrides):
+            # Names and types are those of every job; a job that breaks a rule fails alone.
+            with searching(flags.config_dir) as loader:
+                jobs = list(samples(flags.overrides, loader))
+            for job in jobs:
+                composed(name, job, flags.config_dir, ablation=False)
+            return
+        config = composed(name, flags.overrides, flags.config_dir)
+        if not flags.cfg:
+            check(config)
+    except (ValueError, OSError) as error:
+        say(program, error)
+        sys.exit(BAD_CONFIGURATION)
+
+
+def read_flags(arguments: Sequence[str]) -> argparse.Namespace:
+    """Hydra's flags and the overrides.
+
+    Raises:
+        ConfigError: a flag that Hydra does not know.
+    """
+    parser = get_args_parser()
+    known = [flag for action in parser._actions for flag in action.option_strings]
+
+    def refuse(message: str) -> None:
+        raise ConfigError("command line", f"{message}; --help and --hydra-help list the flags")
+
+    # Its own way out prints usage first.
+    parser.error = refuse  # type: ignore[method-assign,assignment]
+    flags, rest = parser.parse_known_args(list(arguments))
+    for word in rest:
+        if word.startswith("-"):
+            raise ConfigError(word, f"no such flag{did_you_mean(similar(word, known))}; --hydra-help lists them")
+        raise ConfigError(word, "stands behind a flag; write all of key=value together, flags before or after them")
+    return flags
+
+
+def say(program: str, error: BaseException) -> None:
+    """One message on stderr."""
+    print(f"{program}: {error}", file=sys.stderr)
 
 
 @contextmanager

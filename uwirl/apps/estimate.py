@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf import DictConfig
 
-from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, failed_jobs, note_failure, one_line
+from uwirl.apps.command_line import FAILED, answer, failed_jobs, note_failure, say
 from uwirl.config import compose
 from uwirl.config.estimate_rules import validate_estimate
 from uwirl.config.estimate_schema import EstimateConfig, register
+from uwirl.config.suggestions import check_known
 
 if TYPE_CHECKING:
     from uwirl.apps.survey import Survey
@@ -24,28 +23,13 @@ if TYPE_CHECKING:
 def main() -> None:
     """Entry point. Exits 2, with one message and no run folder, on a bad configuration or log; 1 if the run failed."""
     register()
-    arguments = sys.argv[1:]
     checked: list[Survey] = []
-    # Hydra's own flags (--help, --multirun, ...) may take what compose would refuse, so they go straight to Hydra.
-    if not any(argument.startswith("-") for argument in arguments):
-        try:
-            checked.append(_prepare(compose.composed("estimate", arguments)))
-        except (HydraException, OmegaConfBaseException, ValueError, OSError) as error:
-            print(f"uwirl-estimate: {one_line(error)}", file=sys.stderr)
-            sys.exit(BAD_CONFIGURATION)
+    answer("uwirl-estimate", "estimate", lambda composed: checked.append(_prepare(_typed(composed))))
     with failed_jobs() as failures:
 
         @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="estimate")
         def job(composed: DictConfig) -> None:
-            from uwirl.apps.survey import run
-
-            try:
-                survey = checked.pop() if checked else _prepare(composed)
-            except (OmegaConfBaseException, ValueError, OSError) as error:
-                print(f"uwirl-estimate: {one_line(error)}", file=sys.stderr)
-                note_failure(failures)
-                return
-            if run(survey, Path(HydraConfig.get().runtime.output_dir))["status"] != "complete":
+            if _job(composed, checked):
                 note_failure(failures)
 
         job()
@@ -54,14 +38,38 @@ def main() -> None:
         sys.exit(FAILED)
 
 
-def _prepare(composed: DictConfig) -> Survey:
+def _job(composed: DictConfig, checked: list[Survey]) -> str | None:
+    """Run one job in its folder, on a log that may have been read already; what it failed of, or None."""
+    from uwirl.apps.survey import run
+
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    config = None
+    try:
+        if not checked:
+            check_known(composed)
+            config = _typed(composed)
+        survey = checked.pop() if config is None else _prepare(config)
+    except (ValueError, OSError) as error:
+        from uwirl.apps.refusal import write_refusal
+
+        say("uwirl-estimate", error)
+        write_refusal(folder, "estimate", list(HydraConfig.get().overrides.task), config, error)
+        return str(error)
+    return run(survey, folder)["error"]
+
+
+def _typed(composed: DictConfig) -> EstimateConfig:
+    config = compose.to_object(composed)
+    assert isinstance(config, EstimateConfig)
+    return config
+
+
+def _prepare(config: EstimateConfig) -> Survey:
     """All that can be wrong with settings and log, found before a run folder is made.
 
     Raises:
-        ValueError, OSError, OmegaConfBaseException: with what is wrong.
+        ValueError, OSError: with what is wrong.
     """
-    config = OmegaConf.to_object(composed)
-    assert isinstance(config, EstimateConfig)
     validate_estimate(config)
     # Imported here so that a bad configuration is answered before torch is loaded.
     from uwirl.apps.survey import Survey

@@ -8,11 +8,9 @@ from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
 from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
 
-from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, one_line
+from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, say
 from uwirl.config import compose
 from uwirl.config.schema import Config, IrlConfig, register
 from uwirl.config.validate import ConfigError, validate
@@ -27,8 +25,8 @@ def main() -> None:
     register()
     try:
         path, sys.argv[1:] = _checked(sys.argv[1:])
-    except (HydraException, OmegaConfBaseException, ValueError) as error:
-        print(f"uwirl-evaluate: {one_line(error)}", file=sys.stderr)
+    except ValueError as error:
+        say("uwirl-evaluate", error)
         sys.exit(BAD_CONFIGURATION)
     failures: list[str] = []
 
@@ -40,8 +38,8 @@ def main() -> None:
         settings = HydraConfig.get()
         try:
             config = _validated(compose.to_config(composed))
-        except (ConfigError, OmegaConfBaseException) as error:
-            print(f"uwirl-evaluate: {one_line(error)}", file=sys.stderr)
+        except ConfigError as error:
+            say("uwirl-evaluate", error)
             failures.append(str(error))
             return
         try:
@@ -60,7 +58,7 @@ def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
     """The checkpoint, and the command line that composes its run's settings with the overrides.
 
     Raises:
-        CheckpointError, ConfigError, HydraException, OmegaConfBaseException: what is wrong.
+        CheckpointError, ConfigError: what is wrong.
     """
     given = [argument for argument in arguments if argument.startswith("checkpoint=")]
     flags = [argument for argument in arguments if argument.startswith("-")]

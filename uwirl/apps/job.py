@@ -8,13 +8,12 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
-import uwirl
-from uwirl.apps.command_line import BAD_CONFIGURATION, one_line
+from uwirl.apps.command_line import BAD_CONFIGURATION, say
 from uwirl.config import compose
 from uwirl.config.validate import ConfigError, validate
 
@@ -52,6 +51,7 @@ def run_job(composed: DictConfig) -> bool:
     # Imported here so that a bad configuration is answered before torch is loaded.
     from uwirl.apps.algorithm import run
     from uwirl.apps.interruption import Interrupted
+    from uwirl.apps.refusal import write_refusal
     from uwirl.apps.saving import Origin
     from uwirl.study import run_folder
     from uwirl.study.checkpoint import CheckpointError
@@ -59,15 +59,20 @@ def run_job(composed: DictConfig) -> bool:
     job = HydraConfig.get()
     folder, sweep = Path(job.runtime.output_dir), job.mode is RunMode.MULTIRUN
     overrides = [text for text in job.overrides.task if not text.startswith("resume=")]
-    experiment = job.runtime.choices["experiment"]
+    experiment = str(job.runtime.choices["experiment"])
+    config = None
     try:
         config = compose.to_config(composed)
+        compose.check_composed(composed, job.runtime.choices, GlobalHydra.instance().config_loader())
         validate(config)
         if config.resume is not None and sweep:
             raise ConfigError("resume", "continues one run at a time, as in `uwirl resume=PATH`")
         config_hash = Origin.of(config).config_hash(replace(config, resume=None))
-    except (ConfigError, CheckpointError, OmegaConfBaseException) as error:
-        _refuse(folder, experiment, overrides, error)
+    except (ConfigError, CheckpointError) as error:
+        # One command line was checked before, so this is a job of a sweep.
+        say("uwirl", error)
+        run_folder.clear(folder)
+        write_refusal(folder, experiment, overrides, config, error)
         return False
     if sweep and run_folder.is_complete(folder, config_hash):
         log.info("skipped: complete, in %s", folder)
@@ -82,14 +87,3 @@ def run_job(composed: DictConfig) -> bool:
     except Interrupted as interrupted:
         # Not only this job: who interrupts a sweep wants it to end.
         sys.exit(interrupted.exit_code)
-
-
-def _refuse(folder: Path, experiment: str, overrides: list[str], error: Exception) -> None:
-    """Say what is wrong with a job, in its folder too."""
-    from uwirl.study import run_folder
-
-    print(f"uwirl: {one_line(error)}", file=sys.stderr)
-    told = f"{type(error).__name__}: {one_line(error)}"
-    metrics = {"status": "failed", "error": told, "experiment": experiment, "overrides": overrides}
-    run_folder.clear(folder)
-    run_folder.write_metrics(folder, metrics | {"uwirl_version": uwirl.__version__})

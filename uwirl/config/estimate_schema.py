@@ -14,21 +14,21 @@ from uwirl.config.schema import ChannelConfig, EstimatorConfig, LoggingConfig
 
 @dataclass
 class MapConfig:
-    from_m: Any = MISSING  # [x, y, z] of the vehicle whose links are mapped; null for that of the last message
-    z_m: float | None = MISSING  # of the map; null for the sensors' mean
-    spacing_m: float | None = MISSING  # null for about 3,500 nodes
-    capacity_kbps: float | None = MISSING  # what counts as outage below it; null for half the map's median
+    from_m: Any = MISSING  # m; [x, y, z] of the vehicle whose links are mapped; null for that of the last message
+    z_m: float | None = MISSING  # m; of the map; null for the sensors' mean
+    spacing_m: float | None = MISSING  # m; between nodes; null for about 3,500 of them
+    capacity_kbps: float | None = MISSING  # kbit/s; what counts as outage below it; null for half the map's median
 
 
 @dataclass
 class EstimateConfig:
     data: str | None = MISSING  # the log, a CSV file
     channel: ChannelConfig = MISSING  # of which only N0, bandwidth and absorption are used
-    estimator: EstimatorConfig = MISSING
-    max_readings: int = MISSING  # a log of more is thinned
-    map: MapConfig = MISSING
+    estimator: EstimatorConfig = MISSING  # how readings become a channel; neither oracle nor disk
+    max_readings: int = MISSING  # a log of more is thinned, in [3, 5000]
+    map: MapConfig = MISSING  # of capacity and outage
     logging: LoggingConfig = MISSING  # of which only figures is used
-    threads: int = MISSING
+    threads: int = MISSING  # of torch
 
 
 def register() -> None:

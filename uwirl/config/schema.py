@@ -11,78 +11,78 @@ from omegaconf import MISSING
 
 @dataclass
 class ObstacleConfig:
-    center_m: list[float] = MISSING  # [x, y] of a vertical cylinder's axis
-    radius_m: float = MISSING
-    influence_m: float = MISSING  # where the avoidance term of the cost begins
-    velocity_mps: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    center_m: list[float] = MISSING  # m; [x, y] of a vertical cylinder's axis
+    radius_m: float = MISSING  # m; of the cylinder
+    influence_m: float = MISSING  # m; from the axis, where the avoidance term of the cost begins
+    velocity_mps: list[float] = field(default_factory=lambda: [0.0, 0.0])  # m/s; [x, y] of a drifting cylinder
 
 
 @dataclass
 class LayoutsConfig:
     """Random layouts that what was learned is judged in, instead of the scenario's own start and obstacles."""
 
-    count: int = MISSING
-    seed: int = MISSING
+    count: int = MISSING  # how many worlds
+    seed: int = MISSING  # of the layouts, apart from that of the run
     kinds: list[str] = MISSING  # taken in turn: sparse | random | overlapping | dead_end | ring | moving
-    half_width_m: float = 30.0  # of the square around the targets in which vehicles start
-    current_mps: float = 0.0  # of a constant current from another side in each world
+    half_width_m: float = 30.0  # m; of the square around the targets in which vehicles start
+    current_mps: float = 0.0  # m/s; of a constant current from another side in each world
 
 
 @dataclass
 class ScenarioConfig:
-    source_m: list[float] = MISSING  # [x, y, z], z up
-    destination_m: list[float] = MISSING
-    # eta of each vehicle, m and rad; not list[list[float]], which would refuse [0, 0, -5, 1]
-    start: list[Any] = MISSING
+    source_m: list[float] = MISSING  # m; [x, y, z] of the node that sends, z up, 0 at the surface
+    destination_m: list[float] = MISSING  # m; [x, y, z] of the node that receives
+    # Not list[list[float]], which would refuse [0, 0, -5, 1].
+    start: list[Any] = MISSING  # eta of each vehicle, [x, y, z, psi] in m and rad
     sensors: Any = MISSING  # a number, spread by the seed, or a list of [x, y, z] in m
-    obstacles: list[ObstacleConfig] = field(default_factory=list)
-    layouts: LayoutsConfig | None = None
-    hearing_range_m: float = MISSING  # of acoustic messages
-    message_period_s: float = MISSING
-    detection_range_m: float = MISSING  # from hull to hull; .inf where the map is known
-    current_mps: list[float] = MISSING  # mean of the ocean current, inertial [x, y, z]
-    current_std_mps: float = MISSING  # of its Gauss-Markov part, each horizontal component
-    current_time_s: float = MISSING  # correlation time of that part
-    depth_m: float = MISSING  # of the water: vehicles stay in -depth_m <= z <= 0
-    vehicle_radius_m: float = MISSING
-    dt_s: float = MISSING
-    duration_s: float = MISSING
+    obstacles: list[ObstacleConfig] = field(default_factory=list)  # standing or drifting cylinders
+    layouts: LayoutsConfig | None = None  # random worlds to be judged in, or null for this one alone
+    hearing_range_m: float = MISSING  # m; of acoustic messages, .inf for all
+    message_period_s: float = MISSING  # s; between messages, each of which every sensor in range reads
+    detection_range_m: float = MISSING  # m; from hull to hull; .inf where the map is known
+    current_mps: list[float] = MISSING  # m/s; mean of the ocean current, inertial [x, y, z]
+    current_std_mps: float = MISSING  # m/s; of its Gauss-Markov part, each horizontal component
+    current_time_s: float = MISSING  # s; correlation time of that part
+    depth_m: float = MISSING  # m; of the water: vehicles stay in -depth_m <= z <= 0
+    vehicle_radius_m: float = MISSING  # m; of the sphere around a vehicle that touches nothing
+    dt_s: float = MISSING  # s; step of control and of integration (RK4)
+    duration_s: float = MISSING  # s; of the mission that is evaluated
 
 
 @dataclass
 class WaterConfig:
     """Read by the absorption laws francois_garrison and, but for salinity and acidity, fisher_simmons."""
 
-    temperature_C: float = 10.0
-    salinity_ppt: float = 35.0
-    depth_m: float = 0.0
-    pH: float = 8.0
+    temperature_C: float = 10.0  # degrees Celsius, in [-2, 35]
+    salinity_ppt: float = 35.0  # parts per thousand, in [0, 45]
+    depth_m: float = 0.0  # m, in [0, 11000]
+    pH: float = 8.0  # acidity, in [7, 9]
 
 
 @dataclass
 class ChannelConfig:
-    K_dB: float = MISSING  # the source level in dB re 1 uPa at 1 m, if N0_dB is the noise level in dB re 1 uPa
-    n: float = MISSING
-    N0_dB: float = MISSING
-    bandwidth_khz: float = MISSING
+    K_dB: float = MISSING  # dB; the source level in dB re 1 uPa at 1 m, if N0_dB is the noise level in dB re 1 uPa
+    n: float = MISSING  # path loss exponent: the SNR falls by 10 n dB per decade of distance
+    N0_dB: float = MISSING  # dB; noise level
+    bandwidth_khz: float = MISSING  # kHz; width of the band
     absorption: str = MISSING  # none | thorp | francois_garrison | fisher_simmons
-    frequency_khz: float | None = MISSING  # null with absorption none
-    zeta_dB: float = MISSING  # standard deviation of shadowing
-    varphi_m: float = MISSING  # its correlation distance
-    rho_dB: float = MISSING  # standard deviation of multipath
-    water: WaterConfig = field(default_factory=lambda: WaterConfig())
+    frequency_khz: float | None = MISSING  # kHz; null with absorption none
+    zeta_dB: float = MISSING  # dB; standard deviation of shadowing
+    varphi_m: float = MISSING  # m; its correlation distance
+    rho_dB: float = MISSING  # dB; standard deviation of multipath
+    water: WaterConfig = field(default_factory=lambda: WaterConfig())  # what the absorption depends on
 
 
 @dataclass
 class VehicleConfig:
-    mass_kg: float = MISSING
-    yaw_inertia: float = MISSING  # kg m^2
+    mass_kg: float = MISSING  # kg
+    yaw_inertia: float = MISSING  # kg m^2; about the vertical axis
     added_mass: list[float] = MISSING  # surge, sway, heave in kg, yaw in kg m^2
-    linear_damping: list[float] = MISSING  # N s/m, yaw N m s/rad
+    linear_damping: list[float] = MISSING  # N s/m, yaw N m s/rad; surge, sway, heave, yaw
     quadratic_damping: list[float] = MISSING  # N s^2/m^2, yaw N m s^2/rad^2
-    weight_N: float = MISSING
-    buoyancy_N: float = MISSING
-    tau_max: list[float] = MISSING  # N, N, N, N m
+    weight_N: float = MISSING  # N; in air
+    buoyancy_N: float = MISSING  # N; of the displaced water
+    tau_max: list[float] = MISSING  # N, N, N, N m; the most that thrusters give in surge, sway, heave, yaw
 
 
 @dataclass
@@ -95,25 +95,24 @@ class EstimatorConfig:
 @dataclass
 class BasisConfig:
     name: str = MISSING  # link_frame | geodesic | error_quadratic | error_velocity
-    length_scales_m: list[float] = field(default_factory=list)  # link_frame and geodesic; .inf gives the linear feature
+    length_scales_m: list[float] = field(default_factory=list)  # m; not of error_*; .inf gives the linear feature
 
 
 @dataclass
 class CostConfig:
-    beta_1: float = MISSING  # (kbit/s)^2
-    beta_2: float = MISSING  # m^2
+    beta_1: float = MISSING  # (kbit/s)^2; weight of the link cost 1/C^2
+    beta_2: float = MISSING  # m^2; weight of the avoidance term
     avoidance: str = MISSING  # smooth | printed
-    yaw_weight: float = MISSING
-    R: list[float] = MISSING  # of tau / tau_max
+    yaw_weight: float = MISSING  # of 1 - cos of the yaw error; without it the optimal yaw weights are zero
+    R: list[float] = MISSING  # control weights of (tau / tau_max)^2 in surge, sway, heave, yaw
 
 
 @dataclass
 class PrintedCostConfig(CostConfig):
-    # Remark 2: f falls from kappa_1 at left_m, just within the radius of influence, to kappa_2 at right_m.
-    left_m: float = MISSING
-    right_m: float = MISSING
-    kappa_1: float = MISSING
-    kappa_2: float = MISSING
+    left_m: float = MISSING  # m; Remark 2: where f is kappa_1, just within the radius of influence
+    right_m: float = MISSING  # m; Remark 2: where f has fallen to kappa_2
+    kappa_1: float = MISSING  # in (kappa_2, 1)
+    kappa_2: float = MISSING  # in (0, kappa_1)
 
 
 @dataclass
@@ -123,23 +122,23 @@ class SafetyConfig:
 
 @dataclass
 class GuardConfig(SafetyConfig):
-    margin_m: float = MISSING
-    separation_m: float = MISSING  # between the centres of vehicles
+    margin_m: float = MISSING  # m; kept from obstacles beside the vehicle's radius
+    separation_m: float = MISSING  # m; kept between the centres of vehicles
 
 
 @dataclass
 class BarrierGuardConfig(GuardConfig):
-    k_1: float = MISSING  # 1/s
-    k_0: float = MISSING  # 1/s^2
-    inertia_kg: list[float] = MISSING  # surge, sway, heave
+    k_1: float = MISSING  # 1/s; of the second-order barrier h'' + k_1 h' + k_0 h >= 0
+    k_0: float = MISSING  # 1/s^2; of the same
+    inertia_kg: list[float] = MISSING  # kg; mass and added mass in surge, sway, heave
 
 
 @dataclass
 class EnergyGuardConfig(GuardConfig):
-    alpha: float = MISSING  # 1/s
-    mass_upper_kg: float = MISSING
-    mass_lower_kg: float = MISSING
-    brake_force_N: float = MISSING
+    alpha: float = MISSING  # 1/s; how fast the barrier may fall
+    mass_upper_kg: float = MISSING  # kg; no less than the vehicle has, added mass included
+    mass_lower_kg: float = MISSING  # kg; no more than the vehicle has, added mass included
+    brake_force_N: float = MISSING  # N; that thrusters can always brake with
 
 
 @dataclass
@@ -149,104 +148,104 @@ class SolverConfig:
 
 @dataclass
 class LeastSquaresSolverConfig(SolverConfig):
-    bounded: bool = MISSING
-    ridge: float = MISSING
-    prior: float = MISSING
+    bounded: bool = MISSING  # whether the actor stays a damped convex potential
+    ridge: float = MISSING  # penalty on every unknown, towards zero
+    prior: float = MISSING  # penalty on the actor, towards the policy that it improves
 
 
 @dataclass
 class RlsSolverConfig(SolverConfig):
-    kappa: float = MISSING
-    p0: float = MISSING
+    kappa: float = MISSING  # of (48)-(49): forgetting factor in (0, 1] of rls_forgetting, a ridge in rls_paper
+    p0: float = MISSING  # of the first covariance, P = p0 I
 
 
 @dataclass
 class ExperienceConfig:
     name: str = MISSING  # virtual_links | parallel
-    leg_s: float = MISSING
-    max_time_s: float = MISSING  # what planner.max_time_s is unless it is set
-    excitation_rms: list[float] = MISSING  # N, N, N, N m
-    excitation_strength: list[float] = MISSING  # range of a leg's strength
-    excitation_band_rad_s: list[float] = MISSING
-    across_share: float = MISSING  # width across the link, as a share of that along it
-    up_m: float = MISSING
-    yaw_rad: float = MISSING
-    near_share: float = MISSING
-    near_scale: float = MISSING
+    leg_s: float = MISSING  # s; flown towards one virtual link
+    max_time_s: float = MISSING  # s; what planner.max_time_s is unless it is set
+    excitation_rms: list[float] = MISSING  # N, N, N, N m; of the probing thrust
+    excitation_strength: list[float] = MISSING  # [low, high] of the factor on it that each leg draws
+    excitation_band_rad_s: list[float] = MISSING  # rad/s; [low, high] of its sines
+    across_share: float = MISSING  # width of starts across the link, as a share of that along it
+    up_m: float = MISSING  # m; half width of starts in the vertical
+    yaw_rad: float = MISSING  # rad; half width of starts in yaw
+    near_share: float = MISSING  # in [0, 1]; share of legs that start close to the target
+    near_scale: float = MISSING  # by which their widths along and across the link shrink
 
 
 @dataclass
 class VirtualLinksConfig(ExperienceConfig):
-    relabel: int = MISSING
-    relabel_time_s: float = MISSING
+    relabel: int = MISSING  # further virtual links that each leg is seen from; 0 for none
+    relabel_time_s: float = MISSING  # s; after which what was seen so counts 1/e of what was flown
 
 
 @dataclass
 class ParallelConfig(ExperienceConfig):
-    worlds: int = MISSING
+    worlds: int = MISSING  # how many fly at once
 
 
 @dataclass
 class PlannerConfig:
     name: str = MISSING  # irl | pd | potential_field | trajectory_optimization
-    calibration_s: float = MISSING
+    calibration_s: float = MISSING  # s; of hovering, in which trim is measured
 
 
 @dataclass
 class IrlConfig(PlannerConfig):
-    start_gain: float = MISSING
-    inertia_lower: list[float] = MISSING  # kg, kg, kg, kg m^2
-    window_s: float = MISSING
-    stride_s: float = MISSING
+    start_gain: float = MISSING  # scales the start policy
+    inertia_lower: list[float] = MISSING  # kg, kg, kg, kg m^2; no more than the vehicle has, added mass included
+    window_s: float = MISSING  # s; of one Bellman equation, an even number of steps
+    stride_s: float = MISSING  # s; between the beginnings of windows
     residual_floor: float = MISSING  # share of the cost of the link without a relay
-    updates: int = MISSING
+    updates: int = MISSING  # policy iterations after each leg
     actor_sign: str = MISSING  # corrected | printed
-    tolerance_weights: float = MISSING  # epsilon_3
+    tolerance_weights: float = MISSING  # epsilon_3; relative change of the weights below which they have settled
     tolerance_inverse_capacity: float = MISSING  # epsilon_4, s/kbit
-    max_time_s: float = MISSING  # T_max,2, vehicle time
+    max_time_s: float = MISSING  # s; T_max,2, vehicle time
 
 
 @dataclass
 class PdConfig(PlannerConfig):
-    position_gain: list[float] = MISSING  # N/m, yaw N m
-    velocity_gain: list[float] = MISSING  # N s/m, yaw N m s/rad
-    saturation_m: float = MISSING
+    position_gain: list[float] = MISSING  # N/m, yaw N m; surge, sway, heave, yaw
+    velocity_gain: list[float] = MISSING  # N s/m, yaw N m s/rad; surge, sway, heave, yaw
+    saturation_m: float = MISSING  # m; errors beyond pull no harder
 
 
 @dataclass
 class PotentialFieldConfig(PdConfig):
-    repulsion: float = MISSING  # N m^3
-    reach_m: float = MISSING  # clearance at which it begins
+    repulsion: float = MISSING  # N m^3; strength of the repulsion
+    reach_m: float = MISSING  # m; clearance at which it begins
 
 
 @dataclass
 class TrajectoryOptimizationConfig(PlannerConfig):
-    intervals: int = MISSING
-    speeds_mps: list[float] = MISSING  # of the guesses along the map
+    intervals: int = MISSING  # of the collocation, over the mission
+    speeds_mps: list[float] = MISSING  # m/s; of the guesses along the map
 
 
 @dataclass
 class GuidanceConfig:
-    name: str = MISSING  # straight | geodesic
+    name: str = MISSING  # straight | geodesic | unit_cost
 
 
 @dataclass
 class GeodesicConfig(GuidanceConfig):
     gain: float = MISSING  # k of F = k sqrt(q / R_b)
-    lateral_damping: float = MISSING  # N s/m
+    lateral_damping: float = MISSING  # N s/m; against velocity across the way
     heading_stiffness: float = MISSING  # N m, added to the led policy's while routing
     heading_damping: float = MISSING  # N m s/rad
-    spacing_m: float = MISSING  # of the map
+    spacing_m: float = MISSING  # m; of the map's nodes
     exponent: float = MISSING  # of the slowness in q; 0 gives the shortest way
-    hard_clearance_m: float = MISSING  # closer than this counts as inside an obstacle
+    hard_clearance_m: float = MISSING  # m; closer than this counts as inside an obstacle
 
 
 @dataclass
 class LoggingConfig:
-    tensorboard: bool = MISSING
-    figures: bool = MISSING
-    animation: bool = MISSING
-    progress: bool = MISSING
+    tensorboard: bool = MISSING  # write tb/
+    figures: bool = MISSING  # write figures/*.png
+    animation: bool = MISSING  # write figures/mission.gif
+    progress: bool = MISSING  # a line on the terminal while learning
 
 
 @dataclass
@@ -256,26 +255,26 @@ class CheckpointConfig:
 
 @dataclass
 class Config:
-    scenario: ScenarioConfig = MISSING
-    channel: ChannelConfig = MISSING
-    vehicle: VehicleConfig = MISSING
-    estimator: EstimatorConfig = MISSING
-    basis: BasisConfig = MISSING
-    cost: CostConfig = MISSING
-    guidance: GuidanceConfig = MISSING
-    safety: SafetyConfig = MISSING
-    solver: SolverConfig = MISSING
-    experience: ExperienceConfig = MISSING
-    planner: PlannerConfig = MISSING
+    scenario: ScenarioConfig = MISSING  # nodes, vehicles, obstacles, water
+    channel: ChannelConfig = MISSING  # path loss, noise and fading, the truth of the simulation
+    vehicle: VehicleConfig = MISSING  # rigid body, drag, thrusters
+    estimator: EstimatorConfig = MISSING  # how readings become a channel
+    basis: BasisConfig = MISSING  # features of critic and actor
+    cost: CostConfig = MISSING  # what the planner minimises
+    guidance: GuidanceConfig = MISSING  # the way among obstacles
+    safety: SafetyConfig = MISSING  # the guard between policy and thrusters
+    solver: SolverConfig = MISSING  # how Bellman equations become weights
+    experience: ExperienceConfig = MISSING  # how the learner flies to learn
+    planner: PlannerConfig = MISSING  # what is run
     baseline: PlannerConfig = MISSING  # flown beside a learned policy
-    logging: LoggingConfig = MISSING
-    checkpoint: CheckpointConfig = field(default_factory=lambda: CheckpointConfig())
+    logging: LoggingConfig = MISSING  # what is written besides metrics.json
+    checkpoint: CheckpointConfig = field(default_factory=lambda: CheckpointConfig())  # how often a run is saved
     resume: str | None = MISSING  # a checkpoint or run folder, whose run is continued
     init_from: str | None = MISSING  # a checkpoint or run folder, whose results a new run starts from
     init_from_parts: list[str] = MISSING  # estimate | weights
-    seed: int = MISSING
-    threads: int = MISSING
-    device: str = MISSING
+    seed: int = MISSING  # of everything random, in [0, 2^63)
+    threads: int = MISSING  # of torch
+    device: str = MISSING  # cpu | cuda | cuda:N | mps
     dtype: str = MISSING  # float64 | float32, of the environment; learning is float64 always
 
 

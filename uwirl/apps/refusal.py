@@ -1,0 +1,29 @@
+"""What a job of a multirun leaves behind when its configuration cannot run: the others go on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import uwirl
+from uwirl.config.estimate_schema import EstimateConfig
+from uwirl.config.schema import Config
+from uwirl.study import run_folder
+
+
+def write_refusal(
+    folder: Path, experiment: str, overrides: list[str], config: Config | EstimateConfig | None, error: BaseException
+) -> None:
+    """metrics.json with status failed, and config.yaml if there is one, in a job's existing folder."""
+    metrics = {
+        "status": "failed",
+        "error": f"{type(error).__name__}: {error}",
+        "experiment": experiment,
+        "overrides": overrides,
+        "config_hash": run_folder.config_hash(config) if config else None,
+        "uwirl_version": uwirl.__version__,
+        "wall_time_s": 0.0,
+    }
+    metrics |= {key: getattr(config, key) for key in ("seed", "data") if hasattr(config, key)}
+    if config is not None:
+        run_folder.write_config(folder, config)
+    run_folder.write_metrics(folder, metrics)
