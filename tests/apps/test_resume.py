@@ -275,16 +275,6 @@ def test_best_holds_the_cheapest_policy_and_no_learner(whole, tmp_path):
     assert metrics["error"].endswith("best.pt: holds a policy but no learner to continue; resume from last.pt")
 
 
-@pytest.mark.parametrize("key", ["resume", "init_from"])
-def test_missing_checkpoint_is_one_line_and_leaves_nothing(tmp_path, monkeypatch, capsys, call, key):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as caught:
-        call(main, f"{key}=nowhere.pt")
-    assert caught.value.code == 2
-    assert capsys.readouterr().err == "uwirl: nowhere.pt: cannot be read (No such file or directory)\n"
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_tensorboard_tells_every_iteration_once(whole, tmp_path):
     """Resumed in the folder of its events after one more iteration than was saved, and in another folder."""
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -307,9 +297,3 @@ def test_tensorboard_tells_every_iteration_once(whole, tmp_path):
         go(tmp_path / folder, *on, f"resume={tmp_path / 'a'}")
         events = EventAccumulator(str(tmp_path / folder / "tb")).Reload().Scalars("learning/weight_change")
         assert [event.step for event in events] == list(range(1, 25))
-
-
-def test_foreign_plain_data_is_no_run(tmp_path):
-    checkpoint.save(tmp_path / "x.pt", {"actor": torch.zeros(1, 3)})
-    with pytest.raises(CheckpointError, match=r"x\.pt: lacks config, config_hash, overrides"):
-        continued([f"resume={tmp_path / 'x.pt'}"], compose([f"resume={tmp_path / 'x.pt'}"]))
