@@ -7,6 +7,7 @@ import logging
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
@@ -42,8 +43,11 @@ def folder_name(overrides: str) -> str:
 OmegaConf.register_new_resolver("job_folder", folder_name, replace=True)
 
 
-def run_job(composed: DictConfig) -> bool:
-    """Run what Hydra composed, unless it is a sweep's and has been done before; returns whether it is complete.
+def run_job(composed: DictConfig) -> dict[str, Any]:
+    """Run what Hydra composed, unless it is a sweep's and has been done before.
+
+    Returns:
+        What metrics.json holds.
 
     Raises:
         SystemExit: the folder of a single run is that of another one, or the run was interrupted.
@@ -72,18 +76,17 @@ def run_job(composed: DictConfig) -> bool:
         # One command line was checked before, so this is a job of a sweep.
         say("uwirl", error)
         run_folder.clear(folder)
-        write_refusal(folder, experiment, overrides, config, error)
-        return False
+        return write_refusal(folder, experiment, overrides, config, error)
     if sweep and run_folder.is_complete(folder, config_hash):
         log.info("skipped: complete, in %s", folder)
-        return True
+        return run_folder.read_metrics(folder)
     if config.resume is None:
         if not sweep and not run_folder.claim(folder, config):
             print(f"uwirl: hydra.run.dir: {folder} holds another run, and is left as it is", file=sys.stderr)
             sys.exit(BAD_CONFIGURATION)
         run_folder.clear(folder)
     try:
-        return run(config, experiment, folder, overrides)["status"] == "complete"
+        return run(config, experiment, folder, overrides)
     except Interrupted as interrupted:
         # Not only this job: who interrupts a sweep wants it to end.
         sys.exit(interrupted.exit_code)

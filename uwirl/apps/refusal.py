@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import uwirl
 from uwirl.config.estimate_schema import EstimateConfig
@@ -12,9 +13,9 @@ from uwirl.study import run_folder
 
 def write_refusal(
     folder: Path, experiment: str, overrides: list[str], config: Config | EstimateConfig | None, error: BaseException
-) -> None:
-    """metrics.json with status failed, and config.yaml if there is one, in a job's existing folder."""
-    metrics = {
+) -> dict[str, Any]:
+    """What it wrote: metrics.json with status failed, and config.yaml if there is one, in a job's existing folder."""
+    metrics: dict[str, Any] = {
         "status": "failed",
         "error": f"{type(error).__name__}: {error}",
         "experiment": experiment,
@@ -27,3 +28,4 @@ def write_refusal(
     if config is not None:
         run_folder.write_config(folder, config)
     run_folder.write_metrics(folder, metrics)
+    return metrics
