@@ -33,7 +33,12 @@ FILES = [(group, path.stem) for group in GROUPS for path in sorted((folder() / g
 NAMED = ["estimator", "basis", "safety", "guidance", "solver", "planner", "experience"]
 
 # What a choice asks for besides.
-NEEDS = {("basis", "geodesic"): ["experience=parallel"]}
+NEEDS = {
+    ("basis", "geodesic"): ["experience=parallel"],
+    ("basis", "own"): ["basis.target=uwirl.motion.features.LinkFrameBasis", "+basis.settings.length_scales_m=[2]"],
+    ("estimator", "own"): ["estimator.target=uwirl.snr.estimators.oracle"],
+    ("planner", "own"): ["planner.target=uwirl.motion.planner.LearningPlanner"],
+}
 
 
 @pytest.mark.parametrize(("group", "name"), FILES, ids=["/".join(file) for file in FILES])

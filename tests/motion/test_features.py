@@ -78,7 +78,7 @@ def test_mirror_image_gives_the_mirrored_control(basis):
 @pytest.mark.parametrize("L", [0.5, 2.0, math.inf])
 def test_saturated_error_is_the_slope_of_its_integral(cost, L):
     error = torch.linspace(-10.0, 10.0, 41, dtype=torch.float64).requires_grad_()
-    g, G = LinkFrameBasis(cost, [L])._saturated(error, L)
+    g, G = LinkFrameBasis(cost, [L]).saturated(error, L)
     (slope,) = torch.autograd.grad(G.sum(), error)
     factor = 2.0 if math.isinf(L) else 1.0
     torch.testing.assert_close(slope, factor * g.detach())

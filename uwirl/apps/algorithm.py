@@ -22,7 +22,7 @@ from uwirl.apps.saving import Checkpoints, Origin
 from uwirl.apps.summary import table
 from uwirl.config.schema import Config, IrlConfig, PlannerConfig
 from uwirl.irl.policy_iteration import IterationRecord
-from uwirl.motion.planner import LearningPlanner
+from uwirl.motion.planner import IrlPlanner
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.snr.measurements import Readings, readings_of_each_vehicle
@@ -83,14 +83,14 @@ def _algorithm_1(
     planner = build.make_planner(config, config.planner, env)
     origin.give_weights(planner)
     records: list[IterationRecord] = []
-    if isinstance(planner, LearningPlanner):
+    if isinstance(planner, IrlPlanner):
         records = learn(config, planner, env, estimate, origin, checkpoints, interruption, board)
         policy = planner.lead(planner.policy)
     else:
         policy = planner.fit(env, estimate)
 
     if config.scenario.layouts is not None:
-        learned = learning_metrics(config, planner, records) if isinstance(planner, LearningPlanner) else {}
+        learned = learning_metrics(config, planner, records) if isinstance(planner, IrlPlanner) else {}
         outcomes = campaign(config, lambda worlds: build.policy_in(worlds, config, planner, estimate), folder)
         return run_folder.estimate_metrics(estimate) | learned | outcomes
 
@@ -99,7 +99,7 @@ def _algorithm_1(
     rows = {config.planner.name: evaluation}
     metrics = run_folder.estimate_metrics(estimate) | evaluation.metrics()
     metrics |= shadowing.summary(env, evaluation.trajectory, judge.targets, readings, estimate)
-    if isinstance(planner, LearningPlanner):
+    if isinstance(planner, IrlPlanner):
         start, costs = judge.iterates(planner, records)
         rows = {"start policy": start, **judge.baseline(estimate), **rows}
         metrics |= learning_metrics(config, planner, records)

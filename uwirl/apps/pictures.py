@@ -11,7 +11,7 @@ from torch import Tensor
 
 from uwirl.config.schema import LoggingConfig
 from uwirl.irl.policy_iteration import IterationRecord
-from uwirl.motion.planner import LearningPlanner, Planner
+from uwirl.motion.planner import IrlPlanner, Planner
 from uwirl.snr.diagnostics import Diagnostics
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.measurements import Readings
@@ -37,7 +37,7 @@ def mission(
         return None
     from uwirl.study import animation, figures
 
-    basis = planner.basis if isinstance(planner, LearningPlanner) else None
+    basis = planner.basis if isinstance(planner, IrlPlanner) else None
     path = folder / "figures" / "mission.png"
     figures.save(figures.mission_figure(env.scenario, evaluation, messages, records, basis), path)
     log.info("figure: %s", path)

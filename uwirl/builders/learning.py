@@ -7,11 +7,14 @@ import math
 from torch import Tensor
 
 from uwirl.builders.motion import make_guard, make_guidance
+from uwirl.builders.own import make_own
 from uwirl.config.schema import (
     Config,
     ExperienceConfig,
     IrlConfig,
     LeastSquaresSolverConfig,
+    LinkFrameBasisConfig,
+    OwnBasisConfig,
     ParallelConfig,
     RlsSolverConfig,
     VirtualLinksConfig,
@@ -69,11 +72,15 @@ def _learned_geodesic(config: Config) -> LearnedGeodesic:
 
 
 def _basis(config: Config, cost: RelayCost) -> MotionBasis:
-    if config.basis.name == "link_frame":
-        return LinkFrameBasis(cost, config.basis.length_scales_m)
-    if config.basis.name == "geodesic":
-        return GeodesicBasis(cost, config.basis.length_scales_m, _learned_geodesic(config))
-    return ErrorBasis(velocity=config.basis.name == "error_velocity")
+    basis = config.basis
+    if isinstance(basis, OwnBasisConfig):
+        own: MotionBasis = make_own(basis, "basis", cost)
+        return own
+    if not isinstance(basis, LinkFrameBasisConfig):
+        return ErrorBasis(velocity=basis.name == "error_velocity")
+    if basis.name == "geodesic":
+        return GeodesicBasis(cost, basis.length_scales_m, _learned_geodesic(config))
+    return LinkFrameBasis(cost, basis.length_scales_m)
 
 
 def _experience(config: Config) -> ExperienceSource:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from uwirl.builders.learning import irl_planner
 from uwirl.builders.motion import make_cost, make_guard, make_guidance
+from uwirl.builders.own import make_own
 from uwirl.config.schema import (
     Config,
     IrlConfig,
+    OwnPlannerConfig,
     PdConfig,
     PlannerConfig,
     PotentialFieldConfig,
@@ -28,6 +30,10 @@ from uwirl.world.relay import Relay
 
 def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
     """A planner with these settings; it learns one set of weights for each world of `env`."""
+
+    if isinstance(planner, OwnPlannerConfig):
+        own: Planner = make_own(planner, "planner")
+        return own
 
     def cost(channel: Channel, targets: ChainTargets) -> RelayCost:
         return make_cost(config.cost, channel, targets, env.vehicle.tau_max)

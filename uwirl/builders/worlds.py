@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from uwirl.builders.own import make_own
+from uwirl.config.catalogue import field_types
+from uwirl.config.own_schema import OwnConfig
 from uwirl.config.schema import ChannelConfig, Config
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.world.absorption import Water
@@ -18,7 +22,7 @@ from uwirl.world.obstacles import Obstacles, no_obstacles
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario, spread_sensors
-from uwirl.world.vehicle import Vehicle
+from uwirl.world.vehicle import Dynamics, Vehicle
 
 
 def make_scenario(config: Config) -> Scenario:
@@ -68,14 +72,27 @@ def _obstacles(config: Config) -> Obstacles:
 
 
 def make_channel(config: ChannelConfig) -> Channel:
-    return Channel(**{**asdict(config), "water": Water(**asdict(config.water))})
+    values = _values(config) | {"water": Water(**asdict(config.water))}
+    channel: Channel = Channel(**values) if config.target is None else make_own(config, "channel", **values)
+    return channel
+
+
+def _make_vehicle(config: Config) -> Dynamics:
+    values = _values(config.vehicle) | {"dtype": getattr(torch, config.dtype), "device": config.device}
+    own = config.vehicle.target is not None
+    vehicle: Dynamics = make_own(config.vehicle, "vehicle", **values) if own else Vehicle(**values)
+    return vehicle
+
+
+def _values(section: OwnConfig) -> dict[str, Any]:
+    """Of a section, what a class is made from besides its own settings."""
+    return {key: value for key, value in asdict(section).items() if key not in field_types(OwnConfig)}
 
 
 def make_relay(config: Config, streams: RandomStreams | None = None) -> Relay:
     """The environment; one world of the configured seed unless other streams are given."""
-    vehicle = Vehicle(**asdict(config.vehicle), dtype=getattr(torch, config.dtype), device=config.device)
     streams = streams or RandomStreams.worlds(config.seed, 1, config.device)
-    return Relay(make_scenario(config), vehicle, make_channel(config.channel), streams)
+    return Relay(make_scenario(config), _make_vehicle(config), make_channel(config.channel), streams)
 
 
 def make_layouts(config: Config) -> tuple[Relay, Layouts]:

@@ -52,6 +52,8 @@ def words(annotation: Any) -> str:
     if typing.get_origin(annotation) is list:
         items = words(options[0]).replace("group of settings", "groups of setting")
         return "list" if items == "any" else f"list of {items}s"
+    if typing.get_origin(annotation) is dict:
+        return "names and values"
     return WORDS.get(annotation, "any")
 
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 from omegaconf import MISSING
 
+from uwirl.config.own_schema import OwnConfig
+
 
 @dataclass
 class WaterConfig:
@@ -18,7 +20,7 @@ class WaterConfig:
 
 
 @dataclass
-class ChannelConfig:
+class ChannelConfig(OwnConfig):
     K_dB: float = MISSING  # dB; the source level in dB re 1 uPa at 1 m, if N0_dB is the noise level in dB re 1 uPa
     n: float = MISSING  # path loss exponent: the SNR falls by 10 n dB per decade of distance
     N0_dB: float = MISSING  # dB; noise level

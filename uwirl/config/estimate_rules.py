@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from uwirl.config.checks import ConfigError, finite, one_of, positive
+from uwirl.config.checks import ConfigError, finite, positive
 from uwirl.config.estimate_schema import EstimateConfig, MapConfig
-from uwirl.config.validate import ESTIMATORS
+from uwirl.config.own import check_own
+from uwirl.config.validate import check_estimator
 from uwirl.config.world_rules import check_channel
 
 # Coordinates beyond are no metres of one site.
@@ -34,7 +35,7 @@ def validate_estimate(config: EstimateConfig) -> None:
         what = "is a folder" if Path(config.data).is_dir() else "does not exist"
         raise ConfigError("data", f"{config.data} {what}; give a CSV file (from {Path.cwd()})")
     check_channel(config.channel)
-    one_of(config.estimator.name, "estimator.name", ESTIMATORS)
+    check_estimator(config.estimator)
     if config.estimator.name in UNSUITABLE:
         raise ConfigError("estimator.name", f"{config.estimator.name!r} {UNSUITABLE[config.estimator.name]}")
     if not LEAST_READINGS <= config.max_readings <= MOST_READINGS:
@@ -43,6 +44,7 @@ def validate_estimate(config: EstimateConfig) -> None:
     check_map(config.map, config.channel.bandwidth_khz)
     if config.threads < 1:
         raise ConfigError("threads", f"must be at least 1, got {config.threads}")
+    check_own(config)
 
 
 def check_map(settings: MapConfig, bandwidth_khz: float) -> None:

@@ -17,6 +17,7 @@ from uwirl.config.schema import (
     GuidanceConfig,
     IrlConfig,
     LeastSquaresSolverConfig,
+    OwnPlannerConfig,
     ParallelConfig,
     PdConfig,
     PlannerConfig,
@@ -157,10 +158,13 @@ def check_experience(experience: ExperienceConfig, planner: IrlConfig, dt: float
 
 def check_planner(planner: PlannerConfig, group: str, config: Config) -> None:
     dt = config.scenario.dt_s
+    if isinstance(planner, OwnPlannerConfig):
+        return
     kinds = {IrlConfig: "irl", PdConfig: "pd", PotentialFieldConfig: "potential_field"}
     kinds |= {TrajectoryOptimizationConfig: "trajectory_optimization"}
     named(planner.name, f"{group}.name", kinds.values(), [kinds[type(planner)]])
-    steps(planner.calibration_s, dt, f"{group}.calibration_s", least=4)
+    if isinstance(planner, (IrlConfig, PdConfig)):
+        steps(planner.calibration_s, dt, f"{group}.calibration_s", least=4)
     if isinstance(planner, PdConfig):
         each(planner.position_gain, f"{group}.position_gain", 4)
         each(planner.velocity_gain, f"{group}.velocity_gain", 4)
@@ -172,6 +176,10 @@ def check_planner(planner: PlannerConfig, group: str, config: Config) -> None:
             positive(speed, f"{group}.speeds_mps")
         if not planner.speeds_mps:
             raise ConfigError(f"{group}.speeds_mps", "needs at least one speed")
+        for own in ("vehicle", "channel"):
+            if getattr(config, own).target is not None:
+                problem = f"plans with the equations of uwirl's own {own}, not of {own}.target"
+                raise ConfigError(f"{group}.name", problem)
     if isinstance(planner, PotentialFieldConfig):
         positive(planner.repulsion, f"{group}.repulsion")
         positive(planner.reach_m, f"{group}.reach_m")

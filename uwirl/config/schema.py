@@ -9,6 +9,21 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
 from uwirl.config.channel_schema import ChannelConfig
+from uwirl.config.own_schema import OwnConfig
+from uwirl.config.planner_schema import (
+    ExperienceConfig,
+    IrlConfig,
+    LeastSquaresSolverConfig,
+    OwnPlannerConfig,
+    ParallelConfig,
+    PdConfig,
+    PlannerConfig,
+    PotentialFieldConfig,
+    RlsSolverConfig,
+    SolverConfig,
+    TrajectoryOptimizationConfig,
+    VirtualLinksConfig,
+)
 
 
 @dataclass
@@ -52,7 +67,7 @@ class ScenarioConfig:
 
 
 @dataclass
-class VehicleConfig:
+class VehicleConfig(OwnConfig):
     mass_kg: float = MISSING  # kg
     yaw_inertia: float = MISSING  # kg m^2; about the vertical axis
     added_mass: list[float] = MISSING  # surge, sway, heave in kg, yaw in kg m^2
@@ -65,15 +80,29 @@ class VehicleConfig:
 
 @dataclass
 class EstimatorConfig:
-    # least_squares | generalized_least_squares | separate | maximum_likelihood | disk | oracle
+    # least_squares | generalized_least_squares | separate | maximum_likelihood | disk | oracle; any with a target
     name: str = MISSING
     robust: bool = False  # leave out readings and sensors that stand apart from the others
 
 
 @dataclass
+class OwnEstimatorConfig(OwnConfig, EstimatorConfig):
+    pass
+
+
+@dataclass
 class BasisConfig:
-    name: str = MISSING  # link_frame | geodesic | error_quadratic | error_velocity
-    length_scales_m: list[float] = field(default_factory=list)  # m; not of error_*; .inf gives the linear feature
+    name: str = MISSING  # link_frame | geodesic | error_quadratic | error_velocity; any with a target
+
+
+@dataclass
+class LinkFrameBasisConfig(BasisConfig):
+    length_scales_m: list[float] = MISSING  # m; .inf gives the linear feature
+
+
+@dataclass
+class OwnBasisConfig(OwnConfig, BasisConfig):
+    pass
 
 
 @dataclass
@@ -117,89 +146,6 @@ class EnergyGuardConfig(GuardConfig):
     mass_upper_kg: float = MISSING  # kg; no less than the vehicle has, added mass included
     mass_lower_kg: float = MISSING  # kg; no more than the vehicle has, added mass included
     brake_force_N: float = MISSING  # N; that thrusters can always brake with
-
-
-@dataclass
-class SolverConfig:
-    name: str = MISSING  # z_rls | batch | bounded_batch | rls_paper | rls_forgetting
-
-
-@dataclass
-class LeastSquaresSolverConfig(SolverConfig):
-    bounded: bool = MISSING  # whether the actor stays a damped convex potential
-    ridge: float = MISSING  # penalty on every unknown, towards zero
-    prior: float = MISSING  # penalty on the actor, towards the policy that it improves
-
-
-@dataclass
-class RlsSolverConfig(SolverConfig):
-    kappa: float = MISSING  # of (48)-(49): forgetting factor in (0, 1] of rls_forgetting, a ridge in rls_paper
-    p0: float = MISSING  # of the first covariance, P = p0 I
-
-
-@dataclass
-class ExperienceConfig:
-    name: str = MISSING  # virtual_links | parallel
-    leg_s: float = MISSING  # s; flown towards one virtual link
-    max_time_s: float = MISSING  # s; what planner.max_time_s is unless it is set
-    excitation_rms: list[float] = MISSING  # N, N, N, N m; of the probing thrust
-    excitation_strength: list[float] = MISSING  # [low, high] of the factor on it that each leg draws
-    excitation_band_rad_s: list[float] = MISSING  # rad/s; [low, high] of its sines
-    across_share: float = MISSING  # width of starts across the link, as a share of that along it
-    up_m: float = MISSING  # m; half width of starts in the vertical
-    yaw_rad: float = MISSING  # rad; half width of starts in yaw
-    near_share: float = MISSING  # in [0, 1]; share of legs that start close to the target
-    near_scale: float = MISSING  # by which their widths along and across the link shrink
-
-
-@dataclass
-class VirtualLinksConfig(ExperienceConfig):
-    relabel: int = MISSING  # further virtual links that each leg is seen from; 0 for none
-    relabel_time_s: float = MISSING  # s; after which what was seen so counts 1/e of what was flown
-
-
-@dataclass
-class ParallelConfig(ExperienceConfig):
-    worlds: int = MISSING  # how many fly at once
-
-
-@dataclass
-class PlannerConfig:
-    name: str = MISSING  # irl | pd | potential_field | trajectory_optimization
-    calibration_s: float = MISSING  # s; of hovering, in which trim is measured
-
-
-@dataclass
-class IrlConfig(PlannerConfig):
-    start_gain: float = MISSING  # scales the start policy
-    inertia_lower: list[float] = MISSING  # kg, kg, kg, kg m^2; no more than the vehicle has, added mass included
-    window_s: float = MISSING  # s; of one Bellman equation, an even number of steps
-    stride_s: float = MISSING  # s; between the beginnings of windows
-    residual_floor: float = MISSING  # share of the cost of the link without a relay
-    updates: int = MISSING  # policy iterations after each leg
-    actor_sign: str = MISSING  # corrected | printed
-    tolerance_weights: float = MISSING  # epsilon_3; relative change of the weights below which they have settled
-    tolerance_inverse_capacity: float = MISSING  # epsilon_4, s/kbit
-    max_time_s: float = MISSING  # s; T_max,2, vehicle time
-
-
-@dataclass
-class PdConfig(PlannerConfig):
-    position_gain: list[float] = MISSING  # N/m, yaw N m; surge, sway, heave, yaw
-    velocity_gain: list[float] = MISSING  # N s/m, yaw N m s/rad; surge, sway, heave, yaw
-    saturation_m: float = MISSING  # m; errors beyond pull no harder
-
-
-@dataclass
-class PotentialFieldConfig(PdConfig):
-    repulsion: float = MISSING  # N m^3; strength of the repulsion
-    reach_m: float = MISSING  # m; clearance at which it begins
-
-
-@dataclass
-class TrajectoryOptimizationConfig(PlannerConfig):
-    intervals: int = MISSING  # of the collocation, over the mission
-    speeds_mps: list[float] = MISSING  # m/s; of the guesses along the map
 
 
 @dataclass
@@ -264,8 +210,8 @@ def register() -> None:
         "scenario": {"schema": ScenarioConfig},
         "channel": {"schema": ChannelConfig},
         "vehicle": {"schema": VehicleConfig},
-        "estimator": {"schema": EstimatorConfig},
-        "basis": {"schema": BasisConfig},
+        "estimator": {"schema": EstimatorConfig, "own_schema": OwnEstimatorConfig},
+        "basis": {"schema": BasisConfig, "link_frame_schema": LinkFrameBasisConfig, "own_schema": OwnBasisConfig},
         "cost": {"schema": CostConfig, "printed_schema": PrintedCostConfig},
         "guidance": {"schema": GuidanceConfig, "geodesic_schema": GeodesicConfig},
         "safety": {"schema": SafetyConfig, "energy_schema": EnergyGuardConfig, "barrier_schema": BarrierGuardConfig},
@@ -276,6 +222,7 @@ def register() -> None:
             "pd_schema": PdConfig,
             "potential_field_schema": PotentialFieldConfig,
             "trajectory_optimization_schema": TrajectoryOptimizationConfig,
+            "own_schema": OwnPlannerConfig,
         },
         "logging": {"schema": LoggingConfig},
     }

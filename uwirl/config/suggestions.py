@@ -193,6 +193,9 @@ def _by_text(error: BaseException, cause: Any, text: str, key: str, overrides: S
 
 def _unknown(cause: Any, key: str, given: str, extra: Iterable[str], where: str) -> ConfigError:
     parent = cause.parent_node
+    if isinstance(parent, DictConfig) and parent._metadata.object_type is dict:
+        # Names that no schema lists, such as settings of a class of the user's own.
+        return ConfigError(given, f"is not there yet; add it with a +, as in +{given}=VALUE")
     siblings = [str(name) for name in parent if name != "hydra"] if isinstance(parent, DictConfig) else []
     root = parent._get_root() if parent is not None else None
     everywhere = list(keys(root)) if isinstance(root, DictConfig) and root is not parent else []

@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
-from uwirl.config.checks import ConfigError, one_of
+from uwirl.config.checks import ConfigError, named, one_of
+from uwirl.config.own import check_own
 from uwirl.config.planning_rules import check_cost, check_guidance, check_planner, check_safety, check_solver
-from uwirl.config.schema import Config, GeodesicConfig, IrlConfig, VirtualLinksConfig
+from uwirl.config.schema import (
+    Config,
+    EstimatorConfig,
+    GeodesicConfig,
+    IrlConfig,
+    LinkFrameBasisConfig,
+    OwnBasisConfig,
+    OwnEstimatorConfig,
+    VirtualLinksConfig,
+)
 from uwirl.config.world_rules import (
     check_channel,
     check_current,
@@ -17,6 +27,7 @@ from uwirl.config.world_rules import (
 
 # Those of uwirl.snr.estimators, which needs torch; a test compares them.
 ESTIMATORS = ("least_squares", "generalized_least_squares", "separate", "maximum_likelihood", "disk", "oracle")
+LINK_FRAME, ERROR = ("link_frame", "geodesic"), ("error_quadratic", "error_velocity")
 
 __all__ = ["ConfigError", "validate"]
 
@@ -32,17 +43,8 @@ def validate(config: Config) -> None:
     check_vehicle(config.vehicle, config.scenario.dt_s)
     check_layouts(config.scenario)
     check_current(config.scenario, config.vehicle)
-    one_of(config.estimator.name, "estimator.name", ESTIMATORS)
-    one_of(config.basis.name, "basis.name", ("link_frame", "geodesic", "error_quadratic", "error_velocity"))
-    if config.basis.name in ("link_frame", "geodesic"):
-        scales = config.basis.length_scales_m
-        if not scales or any(not L > 0.0 for L in scales) or len(set(scales)) < len(scales):
-            raise ConfigError("basis.length_scales_m", f"needs one or more different positive lengths, got {scales}")
-    if config.basis.name == "geodesic" and isinstance(config.planner, IrlConfig):
-        if not isinstance(config.guidance, GeodesicConfig):
-            raise ConfigError("guidance.name", "basis=geodesic learns how to fly with guidance=geodesic")
-        if isinstance(config.experience, VirtualLinksConfig) and config.experience.relabel:
-            raise ConfigError("experience.relabel", "must be 0 with basis=geodesic: another link needs another map")
+    check_estimator(config.estimator)
+    check_basis(config)
     check_cost(config.cost)
     check_safety(config.safety, config)
     check_obstacles(config.scenario, config.safety)
@@ -58,6 +60,30 @@ def validate(config: Config) -> None:
         raise ConfigError("seed", f"must lie in [0, 2^63), got {config.seed}")
     one_of(config.device.split(":")[0], "device", ("cpu", "cuda", "mps"))
     one_of(config.dtype, "dtype", ("float64", "float32"))
+    # Last, because it imports what it checks.
+    check_own(config)
+
+
+def check_estimator(estimator: EstimatorConfig) -> None:
+    if not isinstance(estimator, OwnEstimatorConfig):
+        one_of(estimator.name, "estimator.name", ESTIMATORS)
+
+
+def check_basis(config: Config) -> None:
+    basis = config.basis
+    if isinstance(basis, OwnBasisConfig):
+        return
+    here = LINK_FRAME if isinstance(basis, LinkFrameBasisConfig) else ERROR
+    named(basis.name, "basis.name", (*LINK_FRAME, *ERROR), here)
+    if isinstance(basis, LinkFrameBasisConfig):
+        scales = basis.length_scales_m
+        if not scales or any(not L > 0.0 for L in scales) or len(set(scales)) < len(scales):
+            raise ConfigError("basis.length_scales_m", f"needs one or more different positive lengths, got {scales}")
+    if basis.name == "geodesic" and isinstance(config.planner, IrlConfig):
+        if not isinstance(config.guidance, GeodesicConfig):
+            raise ConfigError("guidance.name", "basis=geodesic learns how to fly with guidance=geodesic")
+        if isinstance(config.experience, VirtualLinksConfig) and config.experience.relabel:
+            raise ConfigError("experience.relabel", "must be 0 with basis=geodesic: another link needs another map")
 
 
 def check_start(config: Config) -> None:

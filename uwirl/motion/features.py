@@ -87,7 +87,7 @@ class LinkFrameBasis(LinkFrameFeatures):
             ("sin_psi", "r", "uv"),
         )
 
-    def _saturated(self, error: Tensor, L: float) -> tuple[Tensor, Tensor]:
+    def saturated(self, error: Tensor, L: float) -> tuple[Tensor, Tensor]:
         """g_L(e) and its integral G_L(e), up to the factor that makes G_inf(e) = e^2."""
         if math.isinf(L):
             return error, error.square()
@@ -101,7 +101,7 @@ class LinkFrameBasis(LinkFrameFeatures):
         error, velocity = xi[..., :3], torch.stack([c * u - s * v, s * u + c * v, w], -1)
         features = []
         for L in self.scales:
-            g, G = self._saturated(error, L)
+            g, G = self.saturated(error, L)
             features.append(torch.stack([G, g * velocity], -1).flatten(-2))
         features.append(torch.stack([self.cost.link(xi), *(x.square() for x in (u, v, w, r)), 1.0 - c, s * r], -1))
         return torch.cat(features, -1)
@@ -112,7 +112,7 @@ class LinkFrameBasis(LinkFrameFeatures):
         c, s = torch.cos(xi[..., 3]), torch.sin(xi[..., 3])
         surge, sway, heave = [], [], []
         for L in self.scales:
-            along, across, up = self._saturated(xi[..., :3], L)[0].unbind(-1)
+            along, across, up = self.saturated(xi[..., :3], L)[0].unbind(-1)
             surge += [along * c, across * s]
             sway += [along * -s, across * c]
             heave.append(up)

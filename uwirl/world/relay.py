@@ -13,7 +13,7 @@ from uwirl.world.acoustics import Channel
 from uwirl.world.fading import Shadowing, ShadowingField
 from uwirl.world.random import RandomStreams
 from uwirl.world.scenario import Scenario
-from uwirl.world.vehicle import Vehicle, VehicleState
+from uwirl.world.vehicle import Dynamics, VehicleState
 
 
 class DivergedError(RuntimeError):
@@ -72,7 +72,7 @@ class Relay:
         streams: the worlds' random numbers; their number is B.
     """
 
-    def __init__(self, scenario: Scenario, vehicle: Vehicle, channel: Channel, streams: RandomStreams):
+    def __init__(self, scenario: Scenario, vehicle: Dynamics, channel: Channel, streams: RandomStreams):
         self.scenario = scenario
         self.vehicle = vehicle
         self.channel = channel

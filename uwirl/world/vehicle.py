@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from torch import Tensor, nn
@@ -52,6 +53,30 @@ class VehicleState:
     def position(self) -> Tensor:
         """[..., 3], a view, m."""
         return self.components[:3].movedim(0, -1)
+
+
+class Dynamics(Protocol):
+    """What the relay environment asks of a vehicle."""
+
+    @property
+    def tau_max(self) -> Tensor:
+        """Thruster limits, [4]; N, N, N, N m."""
+        ...
+
+    @property
+    def trim(self) -> Tensor:
+        """The tau that holds the vehicle at rest, [4]."""
+        ...
+
+    def saturate(self, tau: Tensor) -> Tensor:
+        """tau [..., 4] within the thruster limits."""
+        ...
+
+    def step(
+        self, state: VehicleState, tau: Tensor, dt: float, current: Tensor | None = None, out: Tensor | None = None
+    ) -> VehicleState:
+        """The state after dt seconds of held tau [B, M, 4], in a current [B, 3]; written into `out` where given."""
+        ...
 
 
 class Vehicle(nn.Module):

@@ -31,6 +31,7 @@ class Collocation:
     def __init__(
         self, ca: Any, env: Relay, cost: RelayCost, targets: ChainTargets, N: int, world: int, separation_m: float
     ):
+        assert isinstance(env.vehicle, Vehicle), "who plans with the model needs one"
         self.ca, self.scenario, self.vehicle, self.cost, self.world = ca, env.scenario, env.vehicle, cost, world
         self.start = of_world(env.scenario.start, 2, world).cpu()
         self.M, self.N, self.h = len(self.start), N, env.scenario.duration / N

@@ -58,6 +58,7 @@ def guess_along(
     eta = torch.stack([_fly(path.to(start), pose, z, travelled, CORNER_S / h, turn) for path, pose, z in flights], 1)
     velocity = torch.gradient(eta, spacing=h, dim=0)[0]
     nu = (Vehicle.rotation_matrix(eta[..., 3]).mT @ velocity[..., None])[..., 0]
+    assert isinstance(env.vehicle, Vehicle), "who plans with the model needs one"
     tau = (env.vehicle.damping_matrix(nu) @ nu[..., None])[..., 0] + env.vehicle.trim
     return Guess(name, eta, nu, env.vehicle.saturate(tau))
 

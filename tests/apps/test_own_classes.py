@@ -1,0 +1,99 @@
+"""The classes of examples/own.py, through the commands that docs/extending.md gives."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from uwirl import build
+from uwirl.apps import evaluate, run
+from uwirl.config.validate import ConfigError, validate
+from uwirl.study import run_folder
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+QUIET = ("logging.figures=false", "logging.tensorboard=false", "logging.progress=false")
+FREE = ("experiment=fig5_free", "scenario.duration_s=20", *QUIET)
+
+
+@pytest.fixture(autouse=True)
+def examples(monkeypatch):
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    monkeypatch.chdir(EXAMPLES)
+
+
+@pytest.fixture
+def fly(call, tmp_path):
+    """fly("key=value", ...): what a run leaves in metrics.json."""
+
+    def flown(*overrides: str):
+        call(run.main, *FREE, *overrides, f"hydra.run.dir={tmp_path}/run")
+        return run_folder.read_metrics(tmp_path / "run")
+
+    return flown
+
+
+def test_planner(fly):
+    metrics = fly("planner=own", "planner.target=own.Pursuit", "+planner.settings.speed_mps=0.5")
+    assert metrics["status"] == "complete"
+    # From 15 m away straight at the target, at no more than the speed.
+    assert 0.8 * 0.5 * 20.0 < metrics["path_length_m"] <= 0.5 * 20.0
+
+
+def test_estimator(fly):
+    metrics = fly("planner=pd", "estimator=own", "estimator.target=own.known_exponent", "+estimator.settings.n=5")
+    assert metrics["status"] == "complete"
+    assert metrics["estimate_n"] == 5.0
+    assert metrics["estimate_K_dB"] == pytest.approx(-60.0, abs=4.0 * metrics["estimate_K_dB_std"])
+    assert not metrics["estimate_varphi_m_identifiable"]
+
+
+def test_vehicle(fly):
+    free = ("planner=own", "planner.target=own.Pursuit", "+planner.settings={speed_mps: 0.5, gain: 5}")
+    worn = ("vehicle.target=own.WornThrusters", "+vehicle.settings.dead_zone=[200,200,0,200]")
+    # No thrust of this vehicle's reaches beyond the dead zone.
+    assert fly(*free, *worn)["path_length_m"] < 1.0
+
+
+def test_channel(fly):
+    short = ("planner=pd", "estimator=oracle", "scenario.duration_s=5")
+    coded = fly(*short, "channel.target=own.CodedModem", "+channel.settings.gap_dB=3")
+    # Midway, 42.4 m from either node, the paper's channel has 18.6 dB.
+    snr = 10.0 ** ((100.0 - 50.0 * math.log10(math.sqrt(1800.0)) - 3.0) / 10.0)
+    assert coded["capacity_optimal_mean_kbps"] == pytest.approx(10.0 * math.log2(1.0 + snr), rel=1e-4)
+
+
+def test_a_gap_shifts_the_snr(make_config):
+    config = make_config("channel.target=own.CodedModem", "+channel.settings.gap_dB=3")
+    validate(config)
+    channel = build.make_channel(config.channel)
+    plain = build.make_channel(make_config().channel)
+    snr = torch.linspace(-10.0, 30.0, 5, dtype=torch.float64)
+    torch.testing.assert_close(channel.capacity_kbps(snr + 3.0), plain.capacity_kbps(snr))
+    assert channel.snr_for_dB(20.0) == pytest.approx(plain.snr_for_dB(20.0) + 3.0)
+
+
+def test_basis_learns_and_is_evaluated(fly, call, tmp_path):
+    basis = ("basis=own", "basis.target=own.HyperbolicBasis", "+basis.settings.length_scales_m=[2,20]")
+    metrics = fly(*basis, "planner.max_time_s=60")
+    assert metrics["cost_total"] < metrics["cost_total_start_policy"]
+    call(evaluate.main, f"checkpoint={tmp_path}/run", f"hydra.run.dir={tmp_path}/again")
+    assert json.loads((tmp_path / "again" / "metrics.json").read_text())["cost_total"] == metrics["cost_total"]
+
+
+def test_what_only_objects_show_is_checked_when_they_are_made(make_config, tmp_path, monkeypatch):
+    (tmp_path / "bare.py").write_text(
+        "class Bare:\n"
+        "    def __init__(self, **parameters): ...\n"
+        "    def saturate(self, tau): ...\n"
+        "    def step(self, state, tau, dt, current=None, out=None): ...\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    config = make_config("vehicle.target=bare.Bare")
+    validate(config)
+    with pytest.raises(ConfigError, match=r"vehicle.target: bare.Bare is no uwirl.*Dynamics: it has no tau_max, trim"):
+        build.make_relay(config)

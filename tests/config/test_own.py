@@ -1,0 +1,173 @@
+"""Classes of the user's own: what is refused, in one message, and what is let through."""
+
+from __future__ import annotations
+
+import pkgutil
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from uwirl.config.checks import ConfigError
+from uwirl.config.compose import compose
+from uwirl.config.own import FAMILIES, misfit
+from uwirl.config.validate import validate
+from uwirl.study.run_folder import config_hash
+
+MODULE = """
+class Whole:
+    def __init__(self, gain=1.0):
+        self.gain = gain
+    def fit(self, env, estimate):
+        return lambda state, step: None
+
+class Anything(Whole):
+    def __init__(self, **settings):
+        super().__init__()
+
+class Needy(Whole):
+    def __init__(self, gain):
+        super().__init__(gain)
+
+class Nothing: ...
+
+class Attribute:
+    fit = 3
+
+class Short:
+    def fit(self, env): ...
+
+class Callable:
+    def __call__(self, readings, known): ...
+
+class Half:
+    def tau_max(self): ...
+    def saturate(self, tau): ...
+    def step(self, state, tau, dt): ...
+
+def function(readings, known, n=2.0): ...
+def reader(readings): ...
+
+number = 3
+"""
+PLANNER = "planner=own planner.target=mine."
+ESTIMATOR = "estimator=own estimator.target=mine."
+REFUSED = [
+    ("planner=own", "planner.target", "names no class of yours; give package.module.Class"),
+    ("planner=own planner.target=Whole", "planner.target", "must be package.module.Class, got 'Whole'"),
+    ("planner=own planner.target=mine.", "planner.target", "must be package.module.Class"),
+    ("planner=own 'planner.target=my file.Whole'", "planner.target", "must be package.module.Class"),
+    ("planner=own planner.target=nowhere.Whole", "planner.target", "no module 'nowhere', neither installed nor in "),
+    ("planner=own planner.target=mine.deeper.Whole", "planner.target", "no module 'mine.deeper'"),
+    ("planner=own planner.target=broken.Whole", "planner.target", "broken cannot be imported: ZeroDivisionError"),
+    ("planner=own planner.target=lacking.Whole", "planner.target", "lacking cannot be imported: ModuleNotFoundError"),
+    (f"{PLANNER}Whol", "planner.target", "mine has no 'Whol'; did you mean 'mine.Whole'?"),
+    (f"{PLANNER}number", "planner.target", "mine.number is no class"),
+    (f"{PLANNER}function", "planner.target", "mine.function is no class"),
+    (f"{PLANNER}Nothing", "planner.target", "is no uwirl.motion.planner.Planner: it has no fit(env, estimate)"),
+    (f"{PLANNER}Attribute", "planner.target", "it has no fit(env, estimate)"),
+    (f"{PLANNER}Short", "planner.target", "fit(env, estimate) cannot be called so: too many positional arguments"),
+    (f"{PLANNER}Needy", "planner.settings", "missing a required argument: 'gain'"),
+    (f"{PLANNER}Whole +planner.settings.gian=2", "planner.settings.gian", "did you mean 'planner.settings.gain'?"),
+    (f"{PLANNER}Whole +planner.settings.x=2", "planner.settings.x", "mine.Whole takes gain"),
+    (f"{PLANNER}Whole planner.settings.gain=2", "planner.settings.gain", "add it with a +"),
+    (f"{PLANNER}Whole planner.calibration_s=2", "planner.calibration_s", "only with planner=irl or planner=pd"),
+    ("planner.target=mine.Whole", "planner.target", "only with planner=own"),
+    ("planner@baseline=own baseline.target=mine.Short", "baseline.target", "cannot be called so"),
+    (f"{ESTIMATOR}Nothing", "estimator.target", "it has no __call__(readings, known)"),
+    (f"{ESTIMATOR}number", "estimator.target", "is no class and no function"),
+    (f"{ESTIMATOR}reader", "estimator.settings", "too many positional arguments"),
+    (f"{ESTIMATOR}function +estimator.settings.m=2", "estimator.settings.m", "mine.function takes n"),
+    (f"{ESTIMATOR}function +estimator.settings.known=2", "estimator.settings.known", "mine.function takes n"),
+    ("basis=own basis.target=mine.Nothing", "basis.target", "is no uwirl.motion.features.MotionBasis: it has no "),
+    ("vehicle.target=mine.Half", "vehicle.target", "step(state, tau, dt, current, out) cannot be called so"),
+    ("vehicle.target=mine.Nothing", "vehicle.target", "is no uwirl.world.vehicle.Dynamics: it has no saturate(tau)"),
+    ("+vehicle.settings.gain=2", "vehicle.settings", "are those of vehicle.target, which names no class"),
+    ("channel.target=mine.Nothing", "channel.target", "is no uwirl.world.acoustics.Channel: it must be a subclass"),
+    (
+        "vehicle.target=uwirl.world.vehicle.Vehicle +vehicle.settings.mass_kg=2",
+        "vehicle.settings.mass_kg",
+        "takes no settings",
+    ),
+    (
+        "planner=trajectory_optimization vehicle.target=uwirl.world.vehicle.Vehicle",
+        "planner.name",
+        "plans with the equations of uwirl's own vehicle",
+    ),
+    (
+        "planner@baseline=trajectory_optimization channel.target=uwirl.world.acoustics.Channel",
+        "baseline.name",
+        "plans with the equations of uwirl's own channel",
+    ),
+]
+ACCEPTED = [
+    f"{PLANNER}Whole",
+    f"{PLANNER}Whole planner.name=whole",
+    f"{PLANNER}Needy +planner.settings.gain=2",
+    f"{PLANNER}Anything +planner.settings.whatever=[1,2]",
+    f"{PLANNER}Whole planner@baseline=own baseline.target=mine.Whole",
+    f"{ESTIMATOR}Callable",
+    f"{ESTIMATOR}function +estimator.settings.n=1.5",
+    "vehicle.target=uwirl.world.vehicle.Vehicle",
+    "channel.target=uwirl.world.acoustics.Channel",
+]
+
+
+@pytest.fixture(autouse=True)
+def modules(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(MODULE)
+    (tmp_path / "broken.py").write_text("1 / 0")
+    (tmp_path / "lacking.py").write_text("import something_else")
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    monkeypatch.chdir(tmp_path)
+    yield
+    sys.modules.pop("mine", None)
+
+
+@pytest.mark.parametrize(("overrides", "key", "told"), REFUSED, ids=[row[0] for row in REFUSED])
+def test_what_does_not_fit_is_refused(overrides, key, told):
+    with pytest.raises(ConfigError) as caught:
+        validate(compose(shlex.split(overrides)))
+    assert str(caught.value).startswith(f"{key}: ")
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("overrides", ACCEPTED)
+def test_what_fits_is_accepted(overrides):
+    validate(compose(shlex.split(overrides)))
+
+
+@pytest.mark.parametrize(
+    ("key", "path"),
+    [
+        ("channel", "uwirl.world.acoustics.Channel"),
+        ("vehicle", "uwirl.world.vehicle.Vehicle"),
+        ("basis", "uwirl.motion.features.ErrorBasis"),
+        ("basis", "uwirl.motion.features.LinkFrameBasis"),
+        ("basis", "uwirl.motion.geodesic_basis.GeodesicBasis"),
+        ("planner", "uwirl.motion.planner.IrlPlanner"),
+        ("planner", "uwirl.motion.baselines.pd.PdPlanner"),
+        ("planner", "uwirl.motion.baselines.potential_field.PotentialField"),
+        ("planner", "uwirl.motion.baselines.trajectory_optimization.TrajectoryOptimization"),
+    ],
+)
+def test_what_is_ours_is_one_of_its_family(key, path):
+    assert misfit(pkgutil.resolve_name(path), pkgutil.resolve_name(FAMILIES[key].protocol)) is None
+
+
+def test_the_hash_covers_class_and_settings():
+    one, other, faster = (
+        config_hash(compose(shlex.split(f"planner=own planner.target={rest}")))
+        for rest in ("mine.Whole", "mine.Anything", "mine.Whole +planner.settings.gain=2")
+    )
+    assert len({one, other, faster}) == 3
+
+
+def test_a_configuration_without_targets_imports_no_torch():
+    code = "import sys; from uwirl.config.compose import compose; from uwirl.config.validate import validate;"
+    code += "validate(compose()); assert 'torch' not in sys.modules"
+    root = str(Path(__file__).parents[2])
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=root)

@@ -1,0 +1,166 @@
+"""Classes of the user's own: found by their dotted path, and held against what their family must do.
+
+The families' Protocols need torch, and so may the user's modules: they are imported only where a target is given.
+"""
+
+from __future__ import annotations
+
+import inspect
+import pkgutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from uwirl.config.catalogue import field_types
+from uwirl.config.channel_schema import ChannelConfig
+from uwirl.config.checks import ConfigError
+from uwirl.config.own_schema import OwnConfig
+from uwirl.config.schema import VehicleConfig
+from uwirl.config.suggestions import did_you_mean, first_line, listed, similar
+
+
+@dataclass(frozen=True)
+class Family:
+    """What may be the user's own.
+
+    Attributes:
+        protocol: dotted path of the Protocol, or of the class that it must extend.
+        given: what it is made from besides its settings, by position.
+        named: what besides, by name.
+        calls: what a function gets that is one of the family by itself; empty where only objects are.
+    """
+
+    protocol: str
+    given: tuple[str, ...] = ()
+    named: tuple[str, ...] = ()
+    calls: tuple[str, ...] = ()
+
+
+def _values(schema: type) -> tuple[str, ...]:
+    """Keys of a section besides those that name the class."""
+    return tuple(name for name in field_types(schema) if name not in field_types(OwnConfig))
+
+
+PLANNER = Family("uwirl.motion.planner.Planner")
+# By section.
+FAMILIES = {
+    "channel": Family("uwirl.world.acoustics.Channel", named=_values(ChannelConfig)),
+    "vehicle": Family("uwirl.world.vehicle.Dynamics", named=(*_values(VehicleConfig), "dtype", "device")),
+    "estimator": Family("uwirl.snr.estimators.Estimator", calls=("readings", "known")),
+    "basis": Family("uwirl.motion.features.MotionBasis", given=("cost",)),
+    "planner": PLANNER,
+    "baseline": PLANNER,
+}
+# Of these, uwirl's own need no name.
+UNNAMED = ("channel", "vehicle")
+
+
+def check_own(config: Any) -> None:
+    """Whether every target of a configuration can be imported, does what its family must, and takes its settings.
+
+    Raises:
+        ConfigError: the first that does not.
+    """
+    for key, family in FAMILIES.items():
+        section = getattr(config, key, None)
+        if isinstance(section, OwnConfig):
+            if section.target is not None:
+                _check(section, section.target, key, family)
+            elif key not in UNNAMED:
+                raise ConfigError(f"{key}.target", "names no class of yours; give package.module.Class")
+            elif section.settings:
+                raise ConfigError(f"{key}.settings", f"are those of {key}.target, which names no class of yours")
+
+
+def _check(section: OwnConfig, path: str, key: str, family: Family) -> None:
+    target, given = found(path, f"{key}.target"), family.given
+    if isinstance(target, type):
+        problem = misfit(target, pkgutil.resolve_name(family.protocol))
+        if problem:
+            raise ConfigError(f"{key}.target", f"{path} is no {family.protocol}: {problem}")
+    elif family.calls and callable(target):
+        given = family.calls
+    else:
+        raise ConfigError(f"{key}.target", f"{path} is no class{' and no function' if family.calls else ''}")
+    _check_settings(target, section, key, given, family.named)
+
+
+def found(path: str, key: str) -> Any:
+    """What a dotted path names, of the installed packages or the working folder.
+
+    Raises:
+        ConfigError: there is no such thing.
+    """
+    module, _, name = path.rpartition(".")
+    if not module or not all(part.isidentifier() for part in path.split(".")):
+        raise ConfigError(key, f"must be package.module.Class, got {path!r}")
+    # The `uwirl` command, unlike `python`, does not look there.
+    if str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))
+    try:
+        holder = import_module(module)
+    except Exception as error:
+        if isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{error.name}."):
+            problem = f"no module {error.name!r}, neither installed nor in {Path.cwd()} nor on PYTHONPATH"
+        else:
+            problem = f"{module} cannot be imported: {type(error).__name__}: {first_line(error)}"
+        raise ConfigError(key, problem) from error
+    if not hasattr(holder, name):
+        near = [f"{module}.{other}" for other in similar(name, vars(holder))]
+        raise ConfigError(key, f"{module} has no {name!r}{did_you_mean(near)}")
+    return getattr(holder, name)
+
+
+def misfit(target: type, protocol: type) -> str | None:
+    """What a class lacks of a Protocol's methods, or of a base class; None if nothing."""
+    if not _is_protocol(protocol):
+        return None if issubclass(target, protocol) else "it must be a subclass"
+    for name, value in _members(protocol):
+        if not inspect.isfunction(value) or (name != "__call__" and name.startswith("_")):
+            continue
+        parameters = list(inspect.signature(value).parameters.values())[1:]
+        shown = f"{name}({', '.join(p.name for p in parameters)})"
+        # getattr would find how classes themselves are called.
+        own = next((vars(c)[name] for c in target.__mro__ if name in vars(c)), None)
+        if not callable(own):
+            return f"it has no {shown}"
+        needed = [p.name for p in parameters if p.default is p.empty]
+        optional = [p.name for p in parameters if p.default is not p.empty]
+        try:
+            inspect.signature(own).bind("self", *needed, **dict.fromkeys(optional))
+        except TypeError as error:
+            return f"{shown} cannot be called so: {error}"
+    return None
+
+
+def properties(path: str) -> list[str]:
+    """What objects of a Protocol must have besides methods, by the Protocol's dotted path."""
+    return [name for name, value in _members(pkgutil.resolve_name(path)) if isinstance(value, property)]
+
+
+def _members(protocol: type) -> list[tuple[str, Any]]:
+    """Those of a Protocol and of the Protocols that it extends."""
+    return [member for base in filter(_is_protocol, protocol.__mro__) for member in vars(base).items()]
+
+
+def _is_protocol(protocol: type) -> bool:
+    return bool(getattr(protocol, "_is_protocol", False))
+
+
+def _check_settings(
+    target: Callable[..., Any], config: OwnConfig, key: str, given: tuple[str, ...], named: tuple[str, ...]
+) -> None:
+    signature = inspect.signature(target)
+    anything = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
+    own = [name for name in list(signature.parameters)[len(given) :] if name not in named]
+    for name in config.settings:
+        if name in named or not (anything or name in own):
+            near = did_you_mean([f"{key}.settings.{other}" for other in similar(name, own)])
+            raise ConfigError(f"{key}.settings.{name}", f"{config.target} takes {listed(own) or 'no settings'}{near}")
+    try:
+        signature.bind(*given, **dict.fromkeys(named), **config.settings)
+    except TypeError as error:
+        raise ConfigError(f"{key}.settings", f"{config.target} cannot be made of {config.settings}: {error}") from None
