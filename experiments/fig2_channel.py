@@ -12,32 +12,27 @@ Needs matplotlib (extra `plot`).
 
 from __future__ import annotations
 
-import logging
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import hydra
 import torch
-from hydra.core.hydra_config import HydraConfig
 from matplotlib.axes import Axes
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from omegaconf import DictConfig
+from results import leave, tell
 from torch import Tensor
 
 from uwirl import build
 from uwirl.config.compose import compose
 from uwirl.config.validate import validate
-from uwirl.study import figures, run_folder
 from uwirl.study.shadowing import map_grid
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import Shadowing, ShadowingField
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario
-
-log = logging.getLogger("uwirl")
 
 TITLES = (
     "(a) path loss",
@@ -211,12 +206,9 @@ def study(settings: DictConfig) -> tuple[dict[str, float | str], Figure]:
 def main(settings: DictConfig) -> None:
     """Draw the figure and write the numbers to metrics.json."""
     torch.set_num_threads(1)
-    folder = Path(HydraConfig.get().runtime.output_dir)
     metrics, figure = study(settings)
-    for name, value in metrics.items():
-        log.info("%-28s %s", name, value)
-    figures.save(figure, folder / "figures" / "fig2_channel.png")
-    run_folder.write_metrics(folder, {"status": "complete", "experiment": "fig2_channel", **metrics})
+    tell(metrics)
+    leave(metrics, figure)
 
 
 if __name__ == "__main__":
