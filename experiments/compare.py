@@ -4,6 +4,8 @@
 
 The reference is the best of several IPOPT runs (seeded with the way on the map at two speeds, and with the first
 planner's own flight): a good trajectory, not a proven lower bound. The gap is J / J_reference - 1.
+
+Needs matplotlib (extra `plot`).
 """
 
 from __future__ import annotations
@@ -11,14 +13,13 @@ from __future__ import annotations
 import logging
 import re
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import hydra
 import torch
-from hydra.core.hydra_config import HydraConfig
 from learning_curve import STARTS
 from omegaconf import DictConfig
+from results import leave
 from torch import Tensor
 
 from uwirl import build
@@ -32,7 +33,7 @@ from uwirl.motion.planner import LearningPlanner, Planner
 from uwirl.motion.targets import ChainTargets, mean_channel_targets
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.estimators import estimate_each_vehicle
-from uwirl.study import run_folder
+from uwirl.study import figures
 from uwirl.study.evaluation import Evaluation, evaluate
 from uwirl.world.layouts import KINDS, draw_layouts
 from uwirl.world.obstacles import contacts, no_obstacles
@@ -102,7 +103,7 @@ def compare(settings: DictConfig) -> tuple[dict[str, Any], dict[str, Tensor]]:
     env = build.make_relay(first.config)
     targets = mean_channel_targets(env.scenario, env.channel)
     cost = build.make_cost(first.config.cost, env.channel, targets, env.vehicle.tau_max)
-    metrics: dict[str, Any] = {"status": "complete", "experiment": "compare"}
+    metrics: dict[str, Any] = {}
     gaps: dict[str, Tensor] = {}
     for problem, (worlds, names) in problems(settings, env, targets).items():
         flown = {name: rival.fly(worlds, cost, targets) for name, rival in rivals.items()}
@@ -158,25 +159,15 @@ def table(metrics: dict[str, Any], problem: str, planners: list[str]) -> None:
         log.info("  %-20s %10.1f %10.1f %8.2f %10d", name, *(metrics[f"{key}_{column}"] for column in columns))
 
 
-def figure(gaps: dict[str, Tensor], path: Path) -> None:
-    """Gaps of all planners, a point a layout; needs matplotlib."""
-    from uwirl.study import figures
-
-    figures.save(figures.gap_figure(gaps), path)
-
-
 @hydra.main(version_base="1.3", config_path="conf", config_name="compare")
 def main(settings: DictConfig) -> None:
     """Print the tables, write metrics.json and the figure."""
-    folder = Path(HydraConfig.get().runtime.output_dir)
     log.info("%-16s %8s  %s", "J", "optimum", " ".join(f"{name[:8]:>8}" for name in settings.planners))
     with torch.no_grad():
         metrics, gaps = compare(settings)
     for problem in ("own", "free", "layouts"):
         table(metrics, problem, list(settings.planners))
-    run_folder.write_metrics(folder, metrics)
-    figure(gaps, folder / "figures" / "gaps.png")
-    log.info("everything lies in %s", folder)
+    leave(metrics, figures.gap_figure(gaps))
 
 
 if __name__ == "__main__":

@@ -15,13 +15,12 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import fields, replace
-from pathlib import Path
 from typing import Any
 
 import hydra
 import torch
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
+from results import leave
 
 from uwirl import build
 from uwirl.config.compose import compose
@@ -31,7 +30,7 @@ from uwirl.motion.planner import LearningPlanner
 from uwirl.motion.policy import LinkFramePolicy, Policy
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import estimate_each_vehicle
-from uwirl.study import campaign, run_folder
+from uwirl.study import campaign
 from uwirl.study.campaign import Outcomes, upper_bound
 from uwirl.world.layouts import Layouts, draw_layouts
 from uwirl.world.obstacles import no_obstacles
@@ -89,7 +88,7 @@ def crossings(settings: DictConfig) -> dict[str, Any]:
     env = build.make_relay(config)
     policy_in = learn(config, env)
     least_m = 2.0 * env.scenario.vehicle_radius
-    metrics: dict[str, Any] = {"status": "complete", "experiment": "crossings"}
+    metrics: dict[str, Any] = {}
     parts = []
     count = settings.worlds // (2 * len(settings.vehicles))
     for M in settings.vehicles:
@@ -134,7 +133,7 @@ def main(settings: DictConfig) -> None:
     with torch.no_grad():
         metrics = crossings(settings)
     table(metrics, [f"{mode}_{M}" for mode in ("swap", "cross") for M in settings.vehicles])
-    run_folder.write_metrics(Path(HydraConfig.get().runtime.output_dir), metrics)
+    leave(metrics)
 
 
 if __name__ == "__main__":

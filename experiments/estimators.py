@@ -12,13 +12,12 @@ from __future__ import annotations
 
 import logging
 import time
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import hydra
 import torch
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
+from results import leave
 from torch import Tensor
 
 from uwirl import build
@@ -29,7 +28,6 @@ from uwirl.snr.information import cramer_rao_bound
 from uwirl.snr.intervals import intervals
 from uwirl.snr.measurements import Readings
 from uwirl.snr.model import Fading, observations
-from uwirl.study import run_folder
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import distances, exact_shadowing
 from uwirl.world.random import RandomStreams, Stream
@@ -143,9 +141,7 @@ def study(settings: DictConfig) -> dict[str, Any]:
 def main(settings: DictConfig) -> None:
     """Print the table and write metrics.json."""
     torch.set_num_threads(1)
-    folder = Path(HydraConfig.get().runtime.output_dir)
-    metrics = study(settings)
-    run_folder.write_metrics(folder, {"status": "complete", "experiment": "estimators", **metrics})
+    leave(study(settings))
 
 
 if __name__ == "__main__":

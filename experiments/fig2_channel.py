@@ -12,32 +12,27 @@ Needs matplotlib (extra `plot`).
 
 from __future__ import annotations
 
-import logging
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import hydra
 import torch
-from hydra.core.hydra_config import HydraConfig
 from matplotlib.axes import Axes
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from omegaconf import DictConfig
+from results import leave, tell
 from torch import Tensor
 
 from uwirl import build
 from uwirl.config.compose import compose
 from uwirl.config.validate import validate
-from uwirl.study import figures, run_folder
 from uwirl.study.shadowing import map_grid
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import Shadowing, ShadowingField
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario
-
-log = logging.getLogger("uwirl")
 
 TITLES = (
     "(a) path loss",
@@ -133,7 +128,7 @@ def draw_map(
     filled = axes.contourf(x, y, snr, levels, cmap="cividis", extend="both")
     filled.set_edgecolor("face")
     if lines:
-        axes.contour(x, y, snr, levels, colors="white", linewidths=0.6, alpha=0.8)
+        axes.contour(x, y, snr, levels, colors="white", linestyles="solid", linewidths=0.6, alpha=0.8)
     source, destination = scenario.source.tolist(), scenario.destination.tolist()
     axes.plot(*zip(source[:2], destination[:2], strict=True), "--", color="white", lw=1.2)
     axes.plot(*source[:2], "s", color=ORANGE, mec="white", ms=9, ls="none", label="source")
@@ -194,13 +189,15 @@ def study(settings: DictConfig) -> tuple[dict[str, float | str], Figure]:
     panels = figure.subplots(3, 2, gridspec_kw={"height_ratios": [1.0, 1.0, 0.62]}).flatten().tolist()
     # Beside the source the SNR would take all colours.
     low, high = drawn.panels[3].quantile(torch.tensor([0.002, 0.985], dtype=drawn.mean.dtype)).tolist()
-    step = max(1.0, round((high - low) / 24.0))
-    levels = torch.arange(math.floor(low), high + step, step)
+    step = max(1, round((high - low) / 24.0))
+    levels = step * torch.arange(math.floor(low / step), math.ceil(high / step) + 1)
     for axes, snr, title in zip(panels[:4], drawn.panels, TITLES, strict=True):
         filled = draw_map(axes, x, y, snr.view(len(y), len(x)), levels, env.scenario, title is TITLES[0])
         axes.set_title(title, loc="left")
     panels[0].legend(loc="lower right", fontsize=9, facecolor="0.4", labelcolor="white", framealpha=1.0)
-    figure.colorbar(filled, ax=panels[:4], label=f"SNR of links from the source, z = {float(source[2]):g} m (dB)")
+    label = f"SNR of links from the source, z = {float(source[2]):g} m (dB)"
+    # Left to itself it counts from the lowest level on, and names numbers that are not round.
+    figure.colorbar(filled, ax=panels[:4], label=label, ticks=levels[levels % (5 * step) == 0])
     draw_cut(panels[4], panels[5], distance, cut, env.channel)
     return {"overrides": " ".join(settings.overrides), **metrics}, figure
 
@@ -209,12 +206,9 @@ def study(settings: DictConfig) -> tuple[dict[str, float | str], Figure]:
 def main(settings: DictConfig) -> None:
     """Draw the figure and write the numbers to metrics.json."""
     torch.set_num_threads(1)
-    folder = Path(HydraConfig.get().runtime.output_dir)
     metrics, figure = study(settings)
-    for name, value in metrics.items():
-        log.info("%-28s %s", name, value)
-    figures.save(figure, folder / "figures" / "fig2_channel.png")
-    run_folder.write_metrics(folder, {"status": "complete", "experiment": "fig2_channel", **metrics})
+    tell(metrics)
+    leave(metrics, figure)
 
 
 if __name__ == "__main__":

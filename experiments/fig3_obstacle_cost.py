@@ -13,17 +13,14 @@ Needs matplotlib (extra `plot`).
 
 from __future__ import annotations
 
-import logging
-from pathlib import Path
-
 import hydra
 import torch
-from hydra.core.hydra_config import HydraConfig
 from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from omegaconf import DictConfig
+from results import leave, tell
 from torch import Tensor
 
 from uwirl import build
@@ -34,11 +31,8 @@ from uwirl.motion.avoidance import Avoidance, Printed, remark_2, smooth
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.link_frame import LinkFrame
 from uwirl.motion.targets import mean_channel_targets
-from uwirl.study import figures, run_folder
 from uwirl.world.scenario import Scenario
 from uwirl.world.vehicle import VehicleState
-
-log = logging.getLogger("uwirl")
 
 # Colour (told apart by the colour-blind: Okabe and Ito), line and name of each form.
 STYLES = {
@@ -180,12 +174,9 @@ def study(settings: DictConfig) -> tuple[dict[str, float | int | None], Figure]:
 def main(settings: DictConfig) -> None:
     """Draw the figure and write the numbers to metrics.json."""
     torch.set_num_threads(1)
-    folder = Path(HydraConfig.get().runtime.output_dir)
     metrics, figure = study(settings)
-    for name, value in metrics.items():
-        log.info("%-24s %s", name, value)
-    figures.save(figure, folder / "figures" / "fig3_obstacle_cost.png")
-    run_folder.write_metrics(folder, {"status": "complete", "experiment": "fig3_obstacle_cost", **metrics})
+    tell(metrics)
+    leave(metrics, figure)
 
 
 if __name__ == "__main__":

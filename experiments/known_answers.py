@@ -7,14 +7,11 @@ Needs SciPy (extra `test`) for the Riccati solutions.
 
 from __future__ import annotations
 
-import logging
-from pathlib import Path
-
 import hydra
 import numpy as np
 import torch
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
+from results import leave, tell
 from scipy.linalg import solve_continuous_are
 from torch import Tensor
 
@@ -25,9 +22,6 @@ from uwirl.irl.linear_quadratic import LinearQuadratic, f16, power_system
 from uwirl.irl.networks import Basis, LinearActor, LinearCritic
 from uwirl.irl.policy_iteration import StoppingRule, policy_iteration
 from uwirl.irl.solvers import BatchLeastSquares, Experience, Solver, ZRecursiveLeastSquares
-from uwirl.study import run_folder
-
-log = logging.getLogger("uwirl")
 
 
 def riccati_gain(problem: LinearQuadratic) -> Tensor:
@@ -193,12 +187,8 @@ def main(settings: DictConfig) -> None:
         metrics[f"gain_error_random_{solver}_median"] = float(np.median(errors))
         metrics[f"gain_error_random_{solver}_max"] = max(errors)
     metrics |= nonlinear_closed_form(generator)
-    for name, value in metrics.items():
-        log.info("%-36s %.1e", name, value)
-    run_folder.write_metrics(
-        Path(HydraConfig.get().runtime.output_dir),
-        {"status": "complete", "experiment": "known_answers", "seed": settings.seed, **metrics},
-    )
+    tell(metrics, ".1e")
+    leave({"seed": settings.seed, **metrics})
 
 
 if __name__ == "__main__":

@@ -10,12 +10,11 @@ trapezoid, 200 intervals, 80 s) on the same cost in free water.
 from __future__ import annotations
 
 import logging
-from pathlib import Path
 
 import hydra
 import torch
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
+from results import leave
 from torch import Tensor
 
 from uwirl import build
@@ -24,7 +23,6 @@ from uwirl.config.validate import validate
 from uwirl.motion.planner import LearningPlanner
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import estimate_each_vehicle
-from uwirl.study import run_folder
 from uwirl.study.evaluation import cost_of_weights
 from uwirl.world.random import RandomStreams
 
@@ -96,7 +94,7 @@ def main(settings: DictConfig) -> None:
     times = [float(time) for time in settings.times_s]
     with torch.no_grad():
         curve = learning_curve(settings.seeds, times, list(settings.overrides))
-    metrics: dict[str, object] = {"status": "complete", "experiment": "learning_curve", "times_s": times}
+    metrics: dict[str, object] = {"times_s": times}
     log.info("%12s %34s %34s", "vehicle (s)", "12 starts: median [min, max] (%)", "paper's start (%)")
     for k, time_s in enumerate(times):
         cells = []
@@ -106,7 +104,7 @@ def main(settings: DictConfig) -> None:
             metrics[f"gap_{name}_median_percent_{time_s:g}s"] = float(gap.quantile(0.5))
             metrics[f"gap_{name}_max_percent_{time_s:g}s"] = float(gap.max())
         log.info("%12g %34s %34s", time_s, *cells)
-    run_folder.write_metrics(Path(HydraConfig.get().runtime.output_dir), metrics)
+    leave(metrics)
 
 
 if __name__ == "__main__":

@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import hydra
 import torch
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
+from results import leave
 from torch import Tensor
 
 from uwirl import build
@@ -29,7 +28,6 @@ from uwirl.motion.policy import Policy
 from uwirl.motion.safety import Guard
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import estimate_each_vehicle
-from uwirl.study import run_folder
 from uwirl.study.campaign import fly, upper_bound
 from uwirl.world.relay import Relay
 from uwirl.world.vehicle import VehicleState
@@ -95,7 +93,7 @@ def learning_in_clutter(settings: DictConfig) -> dict[str, Any]:
     policy = planner.lead(planner.policy)
     # In one batch, or weights would come to the wrong vehicles.
     missions = fly(env, layouts, lambda worlds: policy, cost, targets, build.make_guard(config), env.worlds)
-    metrics = {"status": "complete", "experiment": "learning_in_clutter"} | learned | missions.metrics()
+    metrics = learned | missions.metrics()
     if settings.also_unguarded:
         _, careless = learn(compose([*overrides, "safety=none"]), env)
         metrics |= {f"unguarded_{key}": value for key, value in careless.items()}
@@ -122,7 +120,7 @@ def main(settings: DictConfig) -> None:
     with torch.no_grad():
         metrics = learning_in_clutter(settings)
     table(metrics)
-    run_folder.write_metrics(Path(HydraConfig.get().runtime.output_dir), metrics)
+    leave(metrics)
 
 
 if __name__ == "__main__":

@@ -12,15 +12,14 @@ Needs matplotlib (extra `plot`).
 from __future__ import annotations
 
 import logging
-from pathlib import Path
 from typing import NamedTuple
 
 import hydra
 import torch
-from hydra.core.hydra_config import HydraConfig
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from omegaconf import DictConfig
+from results import leave, tell
 from torch import Tensor
 
 from uwirl import build
@@ -31,7 +30,7 @@ from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.snr.intervals import student_t
 from uwirl.snr.kriging import Kriging
-from uwirl.study import figures, run_folder, shadowing
+from uwirl.study import shadowing
 
 log = logging.getLogger("uwirl")
 
@@ -132,7 +131,6 @@ def mark(axes: Axes, example: Example) -> None:
 def main(settings: DictConfig) -> None:
     """Run all seeds, draw, and write metrics.json."""
     torch.set_num_threads(1)
-    folder = Path(HydraConfig.get().runtime.output_dir)
     rows, examples = [], []
     for seed in range(settings.seeds):
         row, example = one_seed(list(settings.overrides), seed)
@@ -141,10 +139,8 @@ def main(settings: DictConfig) -> None:
         log.info("seed %2d: midpoint %.3f, map %.3f, best %.3f kbit/s", seed, *row)
     capacity = torch.tensor(rows, dtype=torch.float64)
     metrics = statistics(capacity)
-    for name, value in metrics.items():
-        log.info("%-36s %.3f", name, value)
-    figures.save(draw(capacity, examples[0]), folder / "figures" / "planning_on_map.png")
-    run_folder.write_metrics(folder, {"status": "complete", "experiment": "planning_on_map", **metrics})
+    tell(metrics, ".3f")
+    leave(metrics, draw(capacity, examples[0]))
 
 
 if __name__ == "__main__":

@@ -222,3 +222,19 @@ def test_command_leaves_a_run_folder(tmp_path):
     assert "varphi (m)" in result.stdout
     (folder,) = (tmp_path / "outputs" / "estimate").iterdir()
     assert {path.name for path in folder.iterdir()} == {"config.yaml", "estimate.npz", "metrics.json", "run.log"}
+
+
+def test_sigterm_ends_it_and_says_so(tmp_path):
+    """Sent by the run to itself while it draws the map, so that the moment is always the same."""
+    program = (
+        "import os, signal; from uwirl.apps import survey; from uwirl.apps.estimate import main\n"
+        "survey.make_map = lambda *_: os.kill(os.getpid(), signal.SIGTERM); main()"
+    )
+    command = [sys.executable, "-c", program, f"data={SAMPLE}", "hydra.run.dir=run"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert result.returncode == 143
+    assert "Traceback" not in result.stderr
+    written = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert written["status"] == "failed"
+    assert written["error"].startswith("interrupted by SIGTERM with nothing saved to continue from")
+    assert not (tmp_path / "run" / "estimate.npz").exists()

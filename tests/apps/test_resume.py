@@ -177,7 +177,7 @@ def test_sigint_before_the_first_checkpoint_says_so(tmp_path, monkeypatch):
     assert caught.value.exit_code == 130
     error = json.loads((tmp_path / "metrics.json").read_text())["error"]
     assert error == (
-        "interrupted by SIGINT before its first checkpoint; start it again with the command that started it"
+        "interrupted by SIGINT with nothing saved to continue from; start it again with the command that started it"
     )
     assert signal.getsignal(signal.SIGINT) is before
 

@@ -187,6 +187,23 @@ def test_figures_show_groups_and_curves(add, tmp_path):
     assert [label.get_text() for label in boxes.get_yticklabels()] == ["irl", "pd"]
 
 
+def test_boxes_of_what_differs_alone(add, tmp_path, monkeypatch):
+    """Not of what is the same in all jobs, nor of true and false; one that some jobs lack counts by the others."""
+    for seed, t99 in enumerate([30.0, None, 34.0]):
+        told = {"collisions": 0, "converged": seed > 0, "reach_rate": None if seed else 1.0}
+        add(f"seed={seed}", cost_total=3.0 + seed, time_to_99_percent_s=t99, seed=seed, **told)
+    drawn = []
+    monkeypatch.setattr(collection_figure, "_save", lambda figure, path: drawn.append(figure) or path)
+    assert len(collection_figure.draw(collect(tmp_path), tmp_path / "figures")) == 1
+    assert [axes.get_xlabel() for axes in drawn[0].axes] == ["cost_total", "time_to_99_percent_s"]
+
+
+def test_no_boxes_where_all_jobs_are_the_same(add, tmp_path):
+    for seed in range(2):
+        add(f"seed={seed}", cost_total=3.0, seed=seed)
+    assert collection_figure.draw(collect(tmp_path), tmp_path / "figures") == []
+
+
 def test_nothing_to_draw(add, tmp_path):
     add("seed=0", status="failed", error="E")
     assert collection_figure.draw(collect(tmp_path), tmp_path / "figures") == []

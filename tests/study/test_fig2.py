@@ -53,3 +53,10 @@ def test_panels_add_up(script, make_relay):
 
 def test_figure_has_six_panels(result):
     assert [axes.get_title(loc="left")[:3] for axes in result[1].axes[:6]] == [f"({k})" for k in "abcdef"]
+
+
+def test_colour_bar_names_round_numbers(result):
+    axes = result[1].axes[6]
+    shown = [tick for tick in axes.get_yticks() if axes.get_ylim()[0] <= tick <= axes.get_ylim()[1]]
+    assert len(shown) >= 5
+    assert not any(tick % 5 for tick in shown)

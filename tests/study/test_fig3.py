@@ -1,6 +1,9 @@
 """Fig. 3's numbers against closed forms."""
 
+import json
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -50,3 +53,12 @@ def test_ring_holds_a_vehicle_if_it_weighs_more(result):
 def test_figure_has_four_panels(result):
     titles = [axes.get_title(loc="left")[:3] for axes in result[1].axes[:4]]
     assert titles == ["(a)", "(b)", "(c)", "(d)"]
+
+
+def test_script_leaves_numbers_and_figure(tmp_path):
+    command = [sys.executable, EXPERIMENTS / "fig3_obstacle_cost.py", "spacing_m=0.5", "hydra.run.dir=run"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert (metrics["status"], metrics["experiment"]) == ("complete", "fig3_obstacle_cost")
+    assert f" {metrics['ring_height_printed']}\n" in result.stdout
+    assert (tmp_path / "run" / "figures" / "fig3_obstacle_cost.png").stat().st_size > 50_000

@@ -40,6 +40,7 @@ def main() -> None:
 
 def _job(composed: DictConfig, checked: list[Survey]) -> str | None:
     """Run one job in its folder, on a log that may have been read already; what it failed of, or None."""
+    from uwirl.apps.interruption import Interrupted
     from uwirl.apps.survey import run
 
     folder = Path(HydraConfig.get().runtime.output_dir)
@@ -55,7 +56,11 @@ def _job(composed: DictConfig, checked: list[Survey]) -> str | None:
         say("uwirl-estimate", error)
         write_refusal(folder, "estimate", list(HydraConfig.get().overrides.task), config, error)
         return str(error)
-    return run(survey, folder)["error"]
+    try:
+        return run(survey, folder)["error"]
+    except Interrupted as interrupted:
+        # Not only this job: who interrupts a sweep wants it to end.
+        sys.exit(interrupted.exit_code)
 
 
 def _typed(composed: DictConfig) -> EstimateConfig:

@@ -29,7 +29,7 @@ class Interrupted(BaseException):
         if last.is_file():
             plain = re.fullmatch(r"[\w/.+-]*", str(last))
             return f"{self}; " + (f"resume={last}" if plain else f"\"resume='{last}'\"") + " continues"
-        return f"{self} before its first checkpoint; start it again with the command that started it"
+        return f"{self} with nothing saved to continue from; start it again with the command that started it"
 
 
 class Interruption:

@@ -35,13 +35,14 @@ FAILURES = (
 
 
 def recorded(
-    work: Callable[[dict[str, Any], Interruption], None], experiment: str, seed: int, folder: Path
+    work: Callable[[dict[str, Any], Interruption], None], experiment: str, seed: int | None, folder: Path
 ) -> dict[str, Any]:
     """Do the work of a run and write metrics.json.
 
     Args:
         work: puts its results into the metrics that it is given.
-        experiment, seed: as named.
+        experiment: its name.
+        seed: None of a run that draws nothing.
         folder: of the run.
 
     Returns:
@@ -54,9 +55,10 @@ def recorded(
         "error": None,
         "experiment": experiment,
         "config_hash": None,
-        "seed": seed,
         "uwirl_version": uwirl.__version__,
     }
+    if seed is not None:
+        metrics["seed"] = seed
     try:
         with Interruption() as interruption:
             work(metrics, interruption)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,9 +10,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-import uwirl
 from uwirl import build
 from uwirl.apps import pictures
+from uwirl.apps.interruption import Interruption
+from uwirl.apps.recorded import recorded
 from uwirl.config.checks import ConfigError
 from uwirl.config.estimate_schema import EstimateConfig
 from uwirl.snr.diagnostics import Diagnostics, diagnose
@@ -29,8 +29,6 @@ from uwirl.world.acoustics import Channel
 
 log = logging.getLogger("uwirl")
 
-# What a run may end in without being a bug: its message goes into metrics.json.
-FAILURES = (ArithmeticError, torch.linalg.LinAlgError)
 # Lines of readings that are not believed.
 LISTED = 20
 
@@ -102,34 +100,15 @@ def run(survey: Survey, folder: Path) -> dict[str, Any]:
         folder: existing, where everything is written.
 
     Returns:
-        What metrics.json holds; `status` is "failed", with `error`, after one of FAILURES. Anything else that is raised
-        is written there too, and raised on.
+        What metrics.json holds; how a run may end says `recorded`.
     """
-    config = survey.config
-    started = time.perf_counter()
-    metrics: dict[str, Any] = {
-        "status": "failed",
-        "error": None,
-        "experiment": "estimate",
-        "config_hash": run_folder.config_hash(config),
-        "data": config.data,
-        "uwirl_version": uwirl.__version__,
-    }
-    run_folder.write_config(folder, config)
-    try:
+
+    def work(metrics: dict[str, Any], interruption: Interruption) -> None:
+        metrics |= {"config_hash": run_folder.config_hash(survey.config), "data": survey.config.data}
+        run_folder.write_config(folder, survey.config)
         metrics |= _estimate(survey, folder)
-        metrics["status"] = "complete"
-    except FAILURES as error:
-        metrics["error"] = f"{type(error).__name__}: {error}"
-        log.error("failed: %s", error)
-    except BaseException as error:
-        metrics["error"] = f"{type(error).__name__}: {error}"
-        raise
-    finally:
-        metrics["wall_time_s"] = time.perf_counter() - started
-        run_folder.write_metrics(folder, metrics)
-    log.info("%s in %.1f s; everything lies in %s", metrics["status"], metrics["wall_time_s"], folder)
-    return metrics
+
+    return recorded(work, "estimate", None, folder)
 
 
 @torch.no_grad()

@@ -28,7 +28,7 @@ def draw(collection: Collection, folder: Path) -> list[Path]:
     groups = {_label(collection, key): group for key, group in collection.groups().items() if group}
     jobs = [job for group in groups.values() for job in group]
     written = []
-    metrics = [metric for metric in MAIN if numbers(jobs, metric)]
+    metrics = [metric for metric in MAIN if _spread(jobs, metric)]
     if metrics:
         written.append(_save(boxes_figure(groups, metrics), folder / "boxes.png"))
     if any(curve(job) for job in jobs):
@@ -36,12 +36,19 @@ def draw(collection: Collection, folder: Path) -> list[Path]:
     return written
 
 
+def _spread(jobs: Sequence[Job], metric: str) -> bool:
+    """Whether boxes would show anything that the table does not: a number, and not the same one in all jobs."""
+    truths = any(isinstance(job.metrics.get(metric), bool) for job in jobs)
+    return not truths and len(set(numbers(jobs, metric))) > 1
+
+
 def boxes_figure(groups: Mapping[str, Sequence[Job]], metrics: Sequence[str]) -> Figure:
     """A panel for each metric, in it a box and the points of each group."""
-    rows = -(-len(metrics) // COLUMNS)
+    columns = min(COLUMNS, len(metrics))
+    rows = -(-len(metrics) // columns)
     height = min(MOST_HEIGHT, rows * (1.2 + 0.35 * len(groups)))
-    figure = Figure(figsize=(5.0 * COLUMNS, height), layout="constrained")
-    panels = figure.subplots(rows, COLUMNS, squeeze=False, sharey=True).flatten()
+    figure = Figure(figsize=(5.0 * columns, height), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False, sharey=True).flatten()
     places = range(1, len(groups) + 1)
     for axes, metric in zip(panels, metrics, strict=False):
         values = [numbers(group, metric) for group in groups.values()]
@@ -51,6 +58,7 @@ def boxes_figure(groups: Mapping[str, Sequence[Job]], metrics: Sequence[str]) ->
         axes.set_yticks(places, list(groups))
         axes.set(xlabel=metric)
         axes.locator_params(axis="x", nbins=5)
+        axes.ticklabel_format(axis="x", useOffset=False)
         axes.grid(alpha=0.3, axis="x")
     panels[0].invert_yaxis()
     for axes in panels[len(metrics) :]:
