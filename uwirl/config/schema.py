@@ -9,6 +9,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
 from uwirl.config.channel_schema import ChannelConfig
+from uwirl.config.search_schema import SearchConfig
 
 
 @dataclass
@@ -278,6 +279,7 @@ def register() -> None:
             "trajectory_optimization_schema": TrajectoryOptimizationConfig,
         },
         "logging": {"schema": LoggingConfig},
+        "hydra/sweeper": {"search_schema": SearchConfig},
     }
     for group, schemas in groups.items():
         for name, node in schemas.items():
