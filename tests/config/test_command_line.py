@@ -53,6 +53,26 @@ def test_one_message_and_nothing_left(tmp_path: Path, overrides: str, message: s
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("planner.updatse: range(1, 3)", "planner.updatse: no such key; did you mean 'planner.updates'? ("),
+        ("planner.updates: interval(1, 3)", "planner.updates: must be a whole number, got 1.0"),
+        ("chanel: paper", "chanel: no such key; did you mean 'channel'?"),
+    ],
+)
+def test_a_typo_in_a_search_space_is_one_too(tmp_path: Path, line: str, message: str):
+    path = tmp_path / "mine" / "hydra" / "sweeper" / "mine.yaml"
+    path.parent.mkdir(parents=True)
+    # Hydra's own sweeper has spaces, too.
+    path.write_text(f"defaults: [basic]\nparams:\n  {line}\n")
+    result = command(tmp_path, "-m", "--config-dir", "mine", "hydra/sweeper=mine")
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr.startswith(f"uwirl: {message}")
+    assert result.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [tmp_path / "mine"]
+
+
 def test_a_broken_rule_can_be_looked_at(tmp_path: Path):
     result = command(tmp_path, "--cfg", "job", "channel.n=-1")
     assert (result.returncode, result.stderr) == (0, "")

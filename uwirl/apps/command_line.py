@@ -17,7 +17,7 @@ from uwirl.config.checks import ConfigError
 from uwirl.config.compose import composed, searching
 from uwirl.config.help import help_text
 from uwirl.config.suggestions import did_you_mean, similar
-from uwirl.config.sweeps import samples
+from uwirl.config.sweeps import samples, space
 
 BAD_CONFIGURATION = 2
 FAILED = 1
@@ -48,8 +48,9 @@ def answer(program: str, name: str, check: Callable[[DictConfig], None]) -> None
             return
         if flags.multirun or any(word.startswith("hydra.mode=") for word in flags.overrides):
             # Names and types are those of every job; a job that breaks a rule fails alone.
+            words = [*space(name, flags.overrides, flags.config_dir), *flags.overrides]
             with searching(flags.config_dir) as loader:
-                jobs = list(samples(flags.overrides, loader))
+                jobs = list(samples(words, loader))
             for job in jobs:
                 composed(name, job, flags.config_dir, ablation=False)
             return
@@ -100,6 +101,7 @@ def failed_jobs() -> Iterator[Path]:
         yield Path(folder)
 
 
-def note_failure(folder: Path) -> None:
+def note_failure(folder: Path) -> Path:
     """Another file in the folder of failed jobs, named as none before."""
-    tempfile.NamedTemporaryFile(dir=folder, delete=False).close()
+    with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
+        return Path(file.name)

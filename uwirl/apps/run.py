@@ -23,9 +23,12 @@ def main() -> None:
 
         @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="config")
         def job(composed: DictConfig) -> float | None:
+            # Written first, so that a job that raises, which a search would go on after, has failed too.
+            note = note_failure(failures)
             metrics = run_job(composed)
             if metrics["status"] != "complete":
-                note_failure(failures)
+                return None
+            note.unlink()
             # What a sweeper that searches makes small.
             return metrics.get("cost_total")
 

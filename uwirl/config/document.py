@@ -18,6 +18,7 @@ from uwirl.config.compose import compose, composed, folder, searching
 from uwirl.config.estimate_schema import EstimateConfig
 from uwirl.config.groups import chosen, load, options
 from uwirl.config.schema import Config
+from uwirl.config.search_schema import SearchConfig
 
 PATH = folder().parent / "docs" / "configuration.md"
 INTRODUCTION = """\
@@ -28,6 +29,11 @@ INTRODUCTION = """\
 Every setting of `uwirl`, by group: `uwirl GROUP=OPTION` chooses among the files of `conf/GROUP`, `uwirl KEY=VALUE` sets
 one value. Defaults are those of `uwirl` without arguments, options in bold; in a table for other options, those of the
 first. A typo, a wrong type or an impossible value is answered before anything runs.
+"""
+SEARCH = """\
+## Searches
+
+`uwirl -m hydra/sweeper=OPTION`, with the extra `optuna` ([sweeps.md](sweeps.md)). Options: {spaces}
 """
 ESTIMATE = """\
 ## uwirl-estimate
@@ -56,6 +62,11 @@ def document() -> str:
             parts += _group(loader, group, groups[group], defaults)
         experiments, ablations = (_listed(options(loader, g), groups[g]) for g in ("experiment", "ablation"))
         parts.append(ABLATIONS.format(experiments=experiments, ablations=ablations))
+        # Those of plugins, installed or not, are no files of ours.
+        spaces = [name for name in options(loader, "hydra/sweeper") if load(loader, f"hydra/sweeper/{name}")]
+        parts.append(SEARCH.format(spaces=_listed(spaces, "")))
+        rows = [setting for setting in settings(SearchConfig) if setting.key != "_target_"]
+        parts.append(_table(rows, "hydra.sweeper", _plain(load(loader, "hydra/sweeper/search"))))
         groups = chosen(loader, "estimate")
         names = ", ".join(f"`{group}` (**{option}**)" for group, option in groups.items())
         parts.append(ESTIMATE.format(groups=names))

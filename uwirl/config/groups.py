@@ -79,6 +79,11 @@ def parsed(override: str) -> Override:
         raise ConfigError(key or override, f"{value or override!r} cannot be read ({reason}); {rule}") from None
 
 
+def is_hydras(key: str) -> bool:
+    """Whether a key or group is one of Hydra's own."""
+    return key.partition(".")[0].partition("/")[0] == "hydra"
+
+
 def check_overrides(words: Sequence[str], loader: ConfigLoader, defaults: Mapping[str, str]) -> None:
     """Refuse what cannot be read, groups and options that are not there, and deletions.
 
@@ -98,7 +103,7 @@ def check_overrides(words: Sequence[str], loader: ConfigLoader, defaults: Mappin
     packages = {group.partition("@")[2]: group for group in defaults if "@" in group}
     for override in overrides:
         key = override.key_or_group
-        if key.partition(".")[0].partition("/")[0] == "hydra":
+        if is_hydras(key):
             continue
         if override.is_sweep_override():
             line = f"{(override.input_line or '').partition('=')[2]} is a sweep over several values"

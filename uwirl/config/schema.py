@@ -24,6 +24,7 @@ from uwirl.config.planner_schema import (
     TrajectoryOptimizationConfig,
     VirtualLinksConfig,
 )
+from uwirl.config.search_schema import SearchConfig
 
 
 @dataclass
@@ -225,6 +226,7 @@ def register() -> None:
             "own_schema": OwnPlannerConfig,
         },
         "logging": {"schema": LoggingConfig},
+        "hydra/sweeper": {"search_schema": SearchConfig},
     }
     for group, schemas in groups.items():
         for name, node in schemas.items():

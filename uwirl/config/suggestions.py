@@ -26,8 +26,18 @@ from uwirl.config.checks import ConfigError
 # Hydra and OmegaConf tell which override they stumbled over in their texts only.
 OVERRIDE = re.compile(r"(?:Could not override '|Error merging override [+~]*|An item is already at ')([^=']+)")
 FILE = re.compile(r"In '([^']+)'")
-NOT_FOUND = re.compile(r"Could not find '([^']+)/([^'/]+)'")
+NOT_FOUND = re.compile(r"Could not (?:find|load) '([^']+)/([^'/]+)'")
 LISTED = 24
+# Options of Hydra's groups that a plugin brings, and groups that only one has: the extra with it.
+EXTRAS = {
+    "hydra/launcher/joblib": "sweep",
+    "hydra/launcher/submitit_local": "slurm",
+    "hydra/launcher/submitit_slurm": "slurm",
+    "hydra/launcher/ray": "ray",
+    "hydra/launcher/ray_aws": "ray",
+    "hydra/sweeper/optuna": "optuna",
+    "hydra/sweeper/sampler": "optuna",
+}
 # Sections that are null until an experiment fills them: OmegaConf then fails with assertions of its own.
 FILLED_BY = {"scenario.layouts": "experiment=random_layouts"}
 
@@ -62,7 +72,8 @@ def unknown_key(key: str, siblings: Iterable[str], everywhere: Iterable[str] = (
         everywhere: dotted names of the whole configuration.
         where: what else there is to say, such as the file in which it stands.
     """
-    siblings, everywhere = list(siblings), list(everywhere)
+    # A sweeper's space repeats names, misspelt ones too.
+    siblings, everywhere = list(siblings), [name for name in everywhere if not name.startswith("hydra.sweeper.params.")]
     section, _, leaf = key.rpartition(".")
     prefix = f"{section}." if section else ""
     # The same name in another section, the nearest section first.
@@ -183,11 +194,16 @@ def _by_text(error: BaseException, cause: Any, text: str, key: str, overrides: S
         return ConfigError(key, f"is there already; drop the +, as in {key}=VALUE")
     missing = NOT_FOUND.search(text)
     if missing:
+        group, option = missing.groups()
         there = [line.strip() for line in text.splitlines() if line.startswith("\t")]
-        there = [option for option in there if not is_schema(option)]
-        near = [f"{missing[1]}={name}" for name in similar(missing[2], there)]
+        there = [name for name in there if not is_schema(name)]
+        extra = EXTRAS.get(f"{group}/{option}") or (None if there else EXTRAS.get(group))
+        if extra:
+            return ConfigError(group, f"{option!r} needs a plugin, pip install 'uwirl[{extra}]'")
+        near = [f"{group}={name}" for name in similar(option, there)]
         # Where it was asked for Hydra does not say.
-        return ConfigError(missing[1], f"{missing[2]!r} is none of {listed(there)}{did_you_mean(near)}")
+        if there:
+            return ConfigError(group, f"{option!r} is none of {listed(there)}{did_you_mean(near)}")
     return ConfigError(key or "configuration", one_line(error))
 
 
