@@ -13,7 +13,7 @@ from uwirl.config.validate import validate
 TYPOS = [
     # A key.
     (["channel.zeta=3"], "channel.zeta", "did you mean 'channel.zeta_dB'?"),
-    (["channel.zeta=3"], "channel.zeta", "(channel has K_dB, n, N0_dB"),
+    (["channel.zeta=3"], "channel.zeta", "(channel has target, settings, K_dB, n, N0_dB"),
     (["channel.k_db=3"], "channel.k_db", "did you mean 'channel.K_dB'?"),
     (["channel.K=3"], "channel.K", "did you mean 'channel.K_dB'?"),
     (["channel.bandwith_khz=3"], "channel.bandwith_khz", "did you mean 'channel.bandwidth_khz'?"),
@@ -33,6 +33,11 @@ TYPOS = [
     (["updates=3"], "updates", "did you mean 'planner.updates'?"),
     (["planner.position_gain=[1,1,1,1]"], "planner.position_gain", "only with planner=pd or planner=potential_field"),
     (["planner.position_gain=[1,1,1,1]"], "planner.position_gain", "did you mean 'baseline.position_gain'"),
+    (
+        ["basis=error_quadratic", "basis.length_scales_m=[2]"],
+        "basis.length_scales_m",
+        "only with basis=geodesic or basis=",
+    ),
     (["solver.kappa=0.9"], "solver.kappa", "only with solver=rls_forgetting or solver=rls_paper"),
     (["channel.n.x=3"], "channel.n.x", "channel.n is no group of settings, it must be a number"),
     # A key added with + or ++, which Hydra lets pass.

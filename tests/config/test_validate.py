@@ -227,7 +227,6 @@ ALLOWED = [
     "vehicle.weight_N=114.8",
     "scenario.dt_s=0.0625 planner.window_s=0.5 planner.stride_s=0.25 vehicle.tau_max=[85,85,120,20]",
     "basis.length_scales_m=[inf]",
-    "basis=error_quadratic basis.length_scales_m=[]",
     "cost.yaw_weight=0",
     "solver.ridge=0 solver.prior=0",
     "solver=rls_forgetting solver.kappa=1",
