@@ -52,7 +52,7 @@ def _collect(folder: Path) -> int:
 
             told += [f"figure: {path}" for path in draw(found, folder / "figures")]
     except OSError as error:
-        print(f"uwirl-collect: {folder}: cannot be written: {error.strerror}", file=sys.stderr)
+        print(f"uwirl-collect: {error.filename or folder}: cannot be written: {error.strerror}", file=sys.stderr)
         code = FAILED
     try:
         print("\n".join(told), flush=True)

@@ -66,7 +66,7 @@ def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
     if not given and flags:
         # Only --help and the like make sense.
         return Path(), [*flags, *overrides]
-    if len(given) != 1:
+    if len(given) != 1 or given == ["checkpoint="]:
         raise ConfigError("checkpoint", "give one file or run folder, as in `uwirl-evaluate checkpoint=PATH`")
     # Imported here because they need torch.
     from uwirl.apps.continuation import key_of, without

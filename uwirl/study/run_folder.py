@@ -18,10 +18,13 @@ from uwirl.config.schema import Config
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import Messages
-from uwirl.study.whole_files import write_arrays, write_whole
+from uwirl.study.whole_files import read_whole, write_arrays, write_whole
 
 # What may differ between two runs with the same result.
 FREE = ("logging", "checkpoint", "resume")
+
+# Of metrics.json, which is 3 kB, or a few MB with the costs of a long learning.
+MOST_BYTES = 10**8
 
 # What a run writes besides config.yaml and run.log.
 RESULTS = ("metrics.json", "trajectory.npz", "layouts.npz", "checkpoints", "figures", "tb")
@@ -58,7 +61,7 @@ def read_metrics(folder: Path) -> dict[str, Any]:
         ValueError: it is no run's.
     """
     try:
-        metrics = json.loads((folder / "metrics.json").read_bytes())
+        metrics = json.loads(read_whole(folder / "metrics.json", MOST_BYTES))
     except RecursionError:
         raise ValueError("nested too deeply") from None
     if not isinstance(metrics, dict) or metrics.get("status") not in ("complete", "failed"):
