@@ -30,6 +30,7 @@ FAILURES = (
     UnidentifiableError,
     NoTargetError,
     ArithmeticError,
+    OSError,  # the disk is full
     torch.linalg.LinAlgError,
 )
 
@@ -73,6 +74,6 @@ def recorded(
         raise
     finally:
         metrics["wall_time_s"] = time.perf_counter() - started
-        run_folder.write_metrics(folder, metrics)
+        run_folder.close(folder, metrics)
     log.info("%s in %.1f s; everything lies in %s", metrics["status"], metrics["wall_time_s"], folder)
     return metrics

@@ -30,7 +30,7 @@ from uwirl.world.acoustics import Channel
 log = logging.getLogger("uwirl")
 
 # What a run may end in without being a bug: its message goes into metrics.json.
-FAILURES = (ArithmeticError, torch.linalg.LinAlgError)
+FAILURES = (ArithmeticError, OSError, torch.linalg.LinAlgError)
 # Lines of readings that are not believed.
 LISTED = 20
 
@@ -115,8 +115,8 @@ def run(survey: Survey, folder: Path) -> dict[str, Any]:
         "data": config.data,
         "uwirl_version": uwirl.__version__,
     }
-    run_folder.write_config(folder, config)
     try:
+        run_folder.write_config(folder, config)
         metrics |= _estimate(survey, folder)
         metrics["status"] = "complete"
     except FAILURES as error:
@@ -127,7 +127,7 @@ def run(survey: Survey, folder: Path) -> dict[str, Any]:
         raise
     finally:
         metrics["wall_time_s"] = time.perf_counter() - started
-        run_folder.write_metrics(folder, metrics)
+        run_folder.close(folder, metrics)
     log.info("%s in %.1f s; everything lies in %s", metrics["status"], metrics["wall_time_s"], folder)
     return metrics
 

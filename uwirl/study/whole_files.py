@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, whenever a run is killed or a disk full; and read only if they are files."""
+"""Files that are there whole or not at all, whenever a run is killed or a disk full."""
 
 from __future__ import annotations
 
