@@ -58,7 +58,7 @@ def in_tmp(tmp_path, monkeypatch) -> Iterator[Path]:
 @pytest.mark.parametrize("key", ["hydra.run.dir", "hydra.sweep.dir"])
 def test_a_place_that_cannot_be_is_one_line_with_what_to_do(in_tmp, call, capsys, key, place, why):
     with pytest.raises(SystemExit) as ended:
-        call(run.main, *QUICK, f"{key}={place}", *(["-m", "seed=0,1"] if "sweep" in key else []))
+        call(run.main, *QUICK, f"{key}={place}", *(["seed=0,1", "-m"] if "sweep" in key else []))
     assert ended.value.code == 2
     advice = "choose another place: hydra.run.dir=PATH, of a sweep hydra.sweep.dir=PATH"
     assert capsys.readouterr().err == f"uwirl: {place}: cannot be written ({why}); {advice}\n"
@@ -78,7 +78,7 @@ def test_a_log_that_cannot_be_opened_is_one_line(in_tmp, call, capsys):
 def test_a_folder_in_use_is_refused(tmp_path):
     folder = tmp_path / "run"
     folder.mkdir()
-    sweep = ("-m", "seed=0", "hydra.sweep.dir=.", "hydra.sweep.subdir=run")
+    sweep = ("seed=0", "hydra.sweep.dir=.", "hydra.sweep.subdir=run", "-m")
     with held(folder):
         for words, code in (((), 2), (sweep, 1)):
             ended = uwirl(tmp_path, *QUICK, "hydra.run.dir=run", *words)
