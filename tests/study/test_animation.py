@@ -1,5 +1,6 @@
 """GIFs of short missions of two vehicles that hold still among obstacles."""
 
+import os
 from dataclasses import replace
 
 import pytest
@@ -40,6 +41,16 @@ def test_frames_and_size(mission, tmp_path):
         assert (film.format, film.n_frames, film.size) == ("GIF", 6, (680, 850))
         assert film.info["duration"] == 100
     assert path.stat().st_size < 200_000
+
+
+def test_a_film_that_cannot_be_written_leaves_nothing(mission, tmp_path, monkeypatch):
+    def full_disk(handle):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full_disk)
+    with pytest.raises(OSError, match=r"No space left on device: '.*mission\.gif'$"):
+        animation.save(*mission(), tmp_path / "mission.gif")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_slower_films_have_more_frames(mission, tmp_path):

@@ -133,6 +133,20 @@ def test_killed_in_the_middle_of_a_save_there_is_the_old_checkpoint_or_the_new(s
     assert len(saved.with_suffix(".pt.sha256").read_text().splitlines()) == 1
 
 
+def test_replaced_while_it_is_read_it_is_the_new_one(saved, monkeypatch):
+    """The run saves again after the file was read, and before its digest is."""
+    read, saves = checkpoint.read_whole, iter([{"iteration": 8}])
+
+    def interleaved(path, most_bytes):
+        data = read(path, most_bytes)
+        for content in saves:
+            checkpoint.save(saved, content)
+        return data
+
+    monkeypatch.setattr(checkpoint, "read_whole", interleaved)
+    assert checkpoint.load(saved)["iteration"] == 8
+
+
 def test_a_run_folder_stands_for_its_last_checkpoint(saved):
     assert checkpoint.locate(saved.parents[1]) == saved
     assert checkpoint.locate(saved) == saved

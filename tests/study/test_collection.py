@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import os
 
 import numpy as np
 import pytest
@@ -208,3 +209,54 @@ def test_nothing_to_draw(add, tmp_path):
     add("seed=0", status="failed", error="E")
     assert collection_figure.draw(collect(tmp_path), tmp_path / "figures") == []
     assert not (tmp_path / "figures").exists()
+
+
+STRANGE = {
+    "too large for a float": {"cost_total": 10**400, "cost_per_iteration": [10**400, 1e308, None]},
+    "too large for its square": {"cost_total": 1e308},
+    "of other types": {"seed": [1], "config_hash": {"a": 1}, "overrides": {"a": 1}, "experiment": 3},
+    "half a sign": {"error": "\ud800", "overrides": ["a=\udce9"], "experiment": "\ud800"},
+    "a formula": {"overrides": ["a=$\\frac{$", "b=$"]},
+}
+
+
+@pytest.mark.parametrize("metrics", STRANGE.values(), ids=STRANGE.keys())
+def test_strange_metrics_spoil_no_other_job(add, tmp_path, metrics):
+    for seed in range(3):
+        add(f"seed={seed}", cost_total=1.0 + seed, cost_per_iteration=[2.0, 1.0], config_hash=str(seed))
+    add("strange", **metrics)
+    found = collect(tmp_path)
+    assert [job.name for job in found.jobs] == ["seed=0", "seed=1", "seed=2", "strange"]
+    for text in (markdown(found, "x"), csv_table(found)):
+        text.encode("utf-8", "backslashreplace")
+    assert "2.0 ± 2.5" in markdown(found, "x")
+    assert len(collection_figure.draw(found, tmp_path / "figures")) == 2
+
+
+def test_pipes_and_endless_files_are_skipped(add, tmp_path):
+    add("seed=0")
+    for name in ("pipe", "endless"):
+        (tmp_path / name).mkdir()
+    os.mkfifo(tmp_path / "pipe" / "metrics.json")
+    with (tmp_path / "endless" / "metrics.json").open("wb") as file:
+        file.truncate(2**40)
+    found = collect(tmp_path)
+    assert [job.name for job in found.jobs] == ["seed=0"]
+    reasons = [("endless/metrics.json", "File too large"), ("pipe/metrics.json", "Not a regular file")]
+    assert sorted(found.skipped) == reasons
+
+
+@pytest.mark.parametrize("present", [b"before", None])
+def test_a_figure_that_cannot_be_written_leaves_the_one_before(add, tmp_path, monkeypatch, present):
+    def full_disk(handle):
+        raise OSError(28, "No space left on device")
+
+    add("seed=0", cost_total=1.0)
+    path = tmp_path / "figures" / "boxes.png"
+    path.parent.mkdir()
+    if present:
+        path.write_bytes(present)
+    monkeypatch.setattr(os, "fsync", full_disk)
+    with pytest.raises(OSError, match=r"No space left on device: '.*boxes\.png'$"):
+        collection_figure.draw(collect(tmp_path), path.parent)
+    assert [file.read_bytes() for file in path.parent.iterdir()] == ([present] if present else [])

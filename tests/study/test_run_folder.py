@@ -1,33 +1,81 @@
 """Whose a run folder is, and whether what it holds is what is wanted."""
 
 import json
+import subprocess
+import sys
 
 import pytest
 
 from uwirl.study import run_folder
+from uwirl.study.run_folder import FolderError, held
 
 
 def write(folder, text: str):
     (folder / "metrics.json").write_text(text)
 
 
+def another(folder):
+    return pytest.raises(FolderError, match=f"^hydra.run.dir: {folder} holds another run, and is left as it is$")
+
+
 @pytest.mark.parametrize("group", ["experiment=fig6_pair", "experiment=random_layouts", "ablation=unbounded"])
-def test_folder_is_claimed_by_one_configuration(make_config, tmp_path, group: str):
+def test_folder_is_one_configurations(make_config, tmp_path, group: str):
     mine, other = make_config(group), make_config(group, "seed=1")
-    assert run_folder.claim(tmp_path, mine)
-    # Claimed, but not yet known by whom.
-    assert not run_folder.claim(tmp_path, mine)
+    run_folder.check_free(tmp_path, mine)
     run_folder.write_config(tmp_path, mine)
-    assert run_folder.claim(tmp_path, mine)
-    assert run_folder.claim(tmp_path, make_config(group, "logging.figures=false"))
-    assert not run_folder.claim(tmp_path, other)
+    run_folder.check_free(tmp_path, mine)
+    run_folder.check_free(tmp_path, make_config(group, "logging.figures=false"))
+    with another(tmp_path):
+        run_folder.check_free(tmp_path, other)
 
 
 @pytest.mark.parametrize("content", [b"", b"[1, 2]", b"a: [", b"\xff\xfe\x00", b"a: ${nowhere}", b"3"])
 def test_damaged_configuration_is_anothers(make_config, tmp_path, content: bytes):
     (tmp_path / "config.yaml").write_bytes(content)
-    assert not run_folder.claim(tmp_path, make_config())
+    with another(tmp_path):
+        run_folder.check_free(tmp_path, make_config())
     assert (tmp_path / "config.yaml").read_bytes() == content
+
+
+def test_configuration_with_code_in_it_is_anothers_and_does_not_run(make_config, tmp_path):
+    (tmp_path / "config.yaml").write_text(f"!!python/object/apply:os.mkdir ['{tmp_path / 'made'}']")
+    with another(tmp_path):
+        run_folder.check_free(tmp_path, make_config())
+    assert not (tmp_path / "made").exists()
+
+
+def test_own_is_what_says_so(tmp_path):
+    run_folder.check_own(tmp_path, "mine")
+    write(tmp_path, '{"status": "failed", "config_hash": "mine"}')
+    run_folder.check_own(tmp_path, "mine")
+    with another(tmp_path):
+        run_folder.check_own(tmp_path, "other")
+    # Killed, so nobody knows whose it is.
+    (tmp_path / "config.yaml").touch()
+    (tmp_path / "metrics.json").unlink()
+    with another(tmp_path):
+        run_folder.check_own(tmp_path, "mine")
+
+
+def test_folder_is_held_by_one_process(tmp_path):
+    program = "import sys; from pathlib import Path; from uwirl.study.run_folder import held\n"
+    program += "with held(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+    command = [sys.executable, "-c", program, str(tmp_path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"held\n"
+        with pytest.raises(FolderError, match=f"^{tmp_path}: another process is running in it"), held(tmp_path):
+            pass
+        process.kill()
+    with held(tmp_path):
+        pass
+
+
+def test_metrics_that_cannot_be_written_are_a_failure(tmp_path):
+    (tmp_path / "metrics.json").mkdir()
+    metrics = {"status": "complete", "error": None}
+    run_folder.close(tmp_path, metrics)
+    assert metrics["status"] == "failed"
+    assert metrics["error"] == f"IsADirectoryError: [Errno 21] Is a directory: '{tmp_path / 'metrics.json'}'"
 
 
 def test_complete_means_this_configuration(make_config, tmp_path):
@@ -62,6 +110,6 @@ def test_clearing_leaves_what_is_not_a_runs(tmp_path):
 def test_clearing_spares_folders_that_no_run_has_been_in(make_config, tmp_path):
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "own.png").touch()
-    assert run_folder.claim(tmp_path, make_config())
+    run_folder.check_free(tmp_path, make_config())
     run_folder.clear(tmp_path)
     assert (tmp_path / "figures" / "own.png").exists()

@@ -12,7 +12,7 @@ import torch
 
 from uwirl import build
 from uwirl.apps import pictures
-from uwirl.apps.continuation import section_of
+from uwirl.apps.continuation import effective
 from uwirl.apps.interruption import Interruption
 from uwirl.apps.judge import Judge
 from uwirl.apps.layouts import campaign
@@ -52,8 +52,7 @@ def run(config: Config, experiment: str, folder: Path, overrides: Sequence[str] 
     def work(metrics: dict[str, Any], interruption: Interruption) -> None:
         origin = Origin.of(config)
         settings = replace(config, resume=None)
-        told = [override for override in overrides if section_of(override) not in run_folder.FREE]
-        metrics |= {"overrides": told, "config_hash": origin.config_hash(settings)}
+        metrics |= {"overrides": effective(overrides), "config_hash": origin.config_hash(settings)}
         run_folder.write_config(folder, settings)
         checkpoints = Checkpoints(folder, settings, metrics["config_hash"], overrides)
         with TensorBoard(folder / "tb" if config.logging.tensorboard else None) as board:

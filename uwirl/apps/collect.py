@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import io
-import os
 import sys
 from pathlib import Path
 
-from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED
+from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, tell
 
 
 def main() -> None:
@@ -52,14 +51,9 @@ def _collect(folder: Path) -> int:
 
             told += [f"figure: {path}" for path in draw(found, folder / "figures")]
     except OSError as error:
-        print(f"uwirl-collect: {folder}: cannot be written: {error.strerror}", file=sys.stderr)
+        print(f"uwirl-collect: {error.filename or folder}: cannot be written: {error.strerror}", file=sys.stderr)
         code = FAILED
-    try:
-        print("\n".join(told), flush=True)
-    except BrokenPipeError:
-        # The reader, `head` perhaps, has seen enough; Python would flush once more on its way out.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return code
+    return tell("uwirl-collect", "\n".join(told)) or code
 
 
 if __name__ == "__main__":

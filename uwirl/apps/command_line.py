@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import argparse
 import gc
+import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
 from hydra._internal.utils import get_args_parser
+from hydra.errors import HydraException
 from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
 
+from uwirl.apps.interruption import Interrupted, Interruption
 from uwirl.config.checks import ConfigError
 from uwirl.config.compose import composed, searching
 from uwirl.config.help import help_text
@@ -21,6 +26,7 @@ from uwirl.config.sweeps import samples, space
 
 BAD_CONFIGURATION = 2
 FAILED = 1
+PLACES = "hydra.run.dir=PATH, of a sweep hydra.sweep.dir=PATH"
 
 
 def answer(program: str, name: str, check: Callable[[DictConfig], None]) -> None:
@@ -40,8 +46,8 @@ def answer(program: str, name: str, check: Callable[[DictConfig], None]) -> None
         flags = read_flags(sys.argv[1:])
         if flags.help:
             with searching(flags.config_dir) as loader:
-                print(help_text(program, name, loader))
-            sys.exit(0)
+                code = tell(program, help_text(program, name, loader))
+            sys.exit(code)
         # What shows, or runs, something else than this configuration is Hydra's affair.
         others = (flags.hydra_help, flags.shell_completion, flags.experimental_rerun, flags.info)
         if any(others) or flags.config_path or flags.config_name:
@@ -86,9 +92,54 @@ def read_flags(arguments: Sequence[str]) -> argparse.Namespace:
     return flags
 
 
-def say(program: str, error: BaseException) -> None:
+def say(program: str, error: BaseException | str) -> None:
     """One message on stderr."""
     print(f"{program}: {error}", file=sys.stderr)
+
+
+def tell(program: str, text: str) -> int:
+    """Print on stdout; returns the exit code. A reader that has seen enough, `head` perhaps, is no failure."""
+    try:
+        print(text, flush=True)
+        return 0
+    except OSError as error:
+        # Python would flush once more on its way out.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):
+            return 0
+        say(program, error)
+        return FAILED
+
+
+@contextmanager
+def one_message(program: str) -> Iterator[None]:
+    """Around Hydra: what stops it outside of a job is told in one message.
+
+    Raises:
+        SystemExit: BAD_CONFIGURATION where no folder can be made, FAILED, or that of a signal.
+    """
+    # Or Hydra prints a traceback, and exits with 1, before anyone is asked.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    try:
+        # A launcher whose own process is just killed leaves its workers behind.
+        with Interruption():
+            yield
+    except Interrupted as error:
+        say(program, f"{error}; the same command does what is left")
+        sys.exit(error.exit_code)
+    except BrokenExecutor:
+        say(program, "a worker process was killed, perhaps for want of memory; the same command does what is left")
+        sys.exit(FAILED)
+    except (HydraException, OmegaConfBaseException) as error:
+        say(program, "; ".join(line.strip() for line in str(error).splitlines()))
+        sys.exit(BAD_CONFIGURATION)
+    except (OSError, ValueError) as error:
+        # Logging wraps what its file could not be opened for.
+        cause = error if isinstance(error, OSError) else error.__cause__
+        if not isinstance(cause, OSError):
+            raise
+        say(program, f"{cause.filename}: cannot be written ({cause.strerror}); choose another place: {PLACES}")
+        sys.exit(BAD_CONFIGURATION)
 
 
 @contextmanager

@@ -26,6 +26,11 @@ def section_of(override: str) -> str:
     return key_of(override).split(".")[0]
 
 
+def effective(overrides: Iterable[str]) -> list[str]:
+    """Those that change the result, by which jobs of a sweep are told apart."""
+    return [override for override in overrides if section_of(override) not in FREE]
+
+
 def without(overrides: Iterable[str], others: Sequence[str]) -> list[str]:
     """Overrides whose keys none of some others has, which then take their place."""
     keys = {key_of(other) for other in others}

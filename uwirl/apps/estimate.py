@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from uwirl.apps.command_line import FAILED, answer, failed_jobs, note_failure, say
+from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, answer, failed_jobs, note_failure, one_message, say
 from uwirl.config import compose
 from uwirl.config.estimate_rules import validate_estimate
 from uwirl.config.estimate_schema import EstimateConfig, register
@@ -25,7 +26,7 @@ def main() -> None:
     register()
     checked: list[Survey] = []
     answer("uwirl-estimate", "estimate", lambda composed: checked.append(_prepare(_typed(composed))))
-    with failed_jobs() as failures:
+    with one_message("uwirl-estimate"), failed_jobs() as failures:
 
         @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="estimate")
         def job(composed: DictConfig) -> None:
@@ -42,8 +43,10 @@ def _job(composed: DictConfig, checked: list[Survey]) -> str | None:
     """Run one job in its folder, on a log that may have been read already; what it failed of, or None."""
     from uwirl.apps.interruption import Interrupted
     from uwirl.apps.survey import run
+    from uwirl.study import run_folder
 
-    folder = Path(HydraConfig.get().runtime.output_dir)
+    job = HydraConfig.get()
+    folder, sweep = Path(job.runtime.output_dir), job.mode is RunMode.MULTIRUN
     config = None
     try:
         if not checked:
@@ -54,13 +57,21 @@ def _job(composed: DictConfig, checked: list[Survey]) -> str | None:
         from uwirl.apps.refusal import write_refusal
 
         say("uwirl-estimate", error)
-        write_refusal(folder, "estimate", list(HydraConfig.get().overrides.task), config, error)
+        write_refusal(folder, "estimate", list(job.overrides.task), config, error)
         return str(error)
     try:
-        return run(survey, folder)["error"]
+        with run_folder.held(folder):
+            if not sweep:
+                run_folder.check_free(folder, survey.config)
+            return run(survey, folder)["error"]
     except Interrupted as interrupted:
         # Not only this job: who interrupts a sweep wants it to end.
         sys.exit(interrupted.exit_code)
+    except run_folder.FolderError as error:
+        say("uwirl-estimate", error)
+        if not sweep:
+            sys.exit(BAD_CONFIGURATION)
+        return str(error)
 
 
 def _typed(composed: DictConfig) -> EstimateConfig:

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, say
+from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, one_message, say
 from uwirl.config import compose
 from uwirl.config.schema import Config, IrlConfig, register
 from uwirl.config.validate import ConfigError, validate
@@ -34,8 +35,10 @@ def main() -> None:
     def job(composed: DictConfig) -> None:
         from uwirl.apps.evaluation import run
         from uwirl.apps.interruption import Interrupted
+        from uwirl.study import checkpoint, run_folder
 
         settings = HydraConfig.get()
+        folder, sweep = Path(settings.runtime.output_dir), settings.mode is RunMode.MULTIRUN
         try:
             config = _validated(compose.to_config(composed))
         except ConfigError as error:
@@ -43,13 +46,23 @@ def main() -> None:
             failures.append(str(error))
             return
         try:
-            metrics = run(config, settings.runtime.choices["experiment"], Path(settings.runtime.output_dir), path)
+            with run_folder.held(folder):
+                if not sweep:
+                    run_folder.check_own(folder, run_folder.config_hash(config, checkpoint.digest(path)))
+                metrics = run(config, settings.runtime.choices["experiment"], folder, path)
+        except run_folder.FolderError as error:
+            say("uwirl-evaluate", error)
+            if not sweep:
+                sys.exit(BAD_CONFIGURATION)
+            failures.append(str(error))
+            return
         except Interrupted as interrupted:
             sys.exit(interrupted.exit_code)
         if metrics["status"] != "complete":
             failures.append(metrics["error"])
 
-    job()
+    with one_message("uwirl-evaluate"):
+        job()
     if failures:
         sys.exit(FAILED)
 
@@ -66,7 +79,7 @@ def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
     if not given and flags:
         # Only --help and the like make sense.
         return Path(), [*flags, *overrides]
-    if len(given) != 1:
+    if len(given) != 1 or given == ["checkpoint="]:
         raise ConfigError("checkpoint", "give one file or run folder, as in `uwirl-evaluate checkpoint=PATH`")
     # Imported here because they need torch.
     from uwirl.apps.continuation import key_of, without

@@ -47,12 +47,27 @@ def run_job(composed: DictConfig) -> dict[str, Any]:
     """Run what Hydra composed, unless it is a sweep's and has been done before.
 
     Returns:
-        What metrics.json holds.
+        What metrics.json holds; only status and error if the folder of a sweep's job is in use.
 
     Raises:
         SystemExit: the folder of a single run is that of another one, or the run was interrupted.
     """
     # Imported here so that a bad configuration is answered before torch is loaded.
+    from uwirl.study import run_folder
+
+    job = HydraConfig.get()
+    folder, sweep = Path(job.runtime.output_dir), job.mode is RunMode.MULTIRUN
+    try:
+        with run_folder.held(folder):
+            return _run(composed, folder, sweep)
+    except run_folder.FolderError as error:
+        say("uwirl", error)
+        if not sweep:
+            sys.exit(BAD_CONFIGURATION)
+        return {"status": "failed", "error": str(error)}
+
+
+def _run(composed: DictConfig, folder: Path, sweep: bool) -> dict[str, Any]:
     from uwirl.apps.algorithm import run
     from uwirl.apps.interruption import Interrupted
     from uwirl.apps.refusal import write_refusal
@@ -61,7 +76,6 @@ def run_job(composed: DictConfig) -> dict[str, Any]:
     from uwirl.study.checkpoint import CheckpointError
 
     job = HydraConfig.get()
-    folder, sweep = Path(job.runtime.output_dir), job.mode is RunMode.MULTIRUN
     overrides = [text for text in job.overrides.task if not text.startswith("resume=")]
     experiment = str(job.runtime.choices["experiment"])
     config = None
@@ -81,9 +95,8 @@ def run_job(composed: DictConfig) -> dict[str, Any]:
         log.info("skipped: complete, in %s", folder)
         return run_folder.read_metrics(folder)
     if config.resume is None:
-        if not sweep and not run_folder.claim(folder, config):
-            print(f"uwirl: hydra.run.dir: {folder} holds another run, and is left as it is", file=sys.stderr)
-            sys.exit(BAD_CONFIGURATION)
+        if not sweep:
+            run_folder.check_free(folder, config)
         run_folder.clear(folder)
     try:
         return run(config, experiment, folder, overrides)

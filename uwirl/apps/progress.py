@@ -19,7 +19,8 @@ class Progress:
 
     def __init__(self, total_s: float, shown: bool):
         self.total_s = total_s
-        self.bar = shown and sys.stderr.isatty()
+        # Without any stderr Python has None.
+        self.bar = shown and sys.stderr is not None and sys.stderr.isatty()
         self.next_line_s = 60.0
 
     def update(self, record: IterationRecord) -> None:

@@ -12,6 +12,7 @@ import torch
 
 import uwirl
 from uwirl.apps.interruption import Interrupted, Interruption
+from uwirl.config.checks import ConfigError
 from uwirl.irl.policy_iteration import InadmissiblePolicyError, InsufficientDataError
 from uwirl.motion.targets import NoTargetError
 from uwirl.snr.model import UnidentifiableError
@@ -24,12 +25,14 @@ log = logging.getLogger("uwirl")
 # What a run may end in without being a bug: its message goes into metrics.json.
 FAILURES = (
     CheckpointError,
+    ConfigError,  # an object of the user's own lacks something
     DivergedError,
     InadmissiblePolicyError,
     InsufficientDataError,
     UnidentifiableError,
     NoTargetError,
     ArithmeticError,
+    OSError,  # the disk is full
     torch.linalg.LinAlgError,
 )
 
@@ -75,6 +78,6 @@ def recorded(
         raise
     finally:
         metrics["wall_time_s"] = time.perf_counter() - started
-        run_folder.write_metrics(folder, metrics)
+        run_folder.close(folder, metrics)
     log.info("%s in %.1f s; everything lies in %s", metrics["status"], metrics["wall_time_s"], folder)
     return metrics

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import uwirl
+from uwirl.apps.continuation import effective
 from uwirl.config.estimate_schema import EstimateConfig
 from uwirl.config.schema import Config
 from uwirl.study import run_folder
@@ -19,7 +20,7 @@ def write_refusal(
         "status": "failed",
         "error": f"{type(error).__name__}: {error}",
         "experiment": experiment,
-        "overrides": overrides,
+        "overrides": effective(overrides),
         "config_hash": run_folder.config_hash(config) if config else None,
         "uwirl_version": uwirl.__version__,
         "wall_time_s": 0.0,

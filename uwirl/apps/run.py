@@ -8,7 +8,7 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig
 
-from uwirl.apps.command_line import FAILED, answer, failed_jobs, note_failure
+from uwirl.apps.command_line import FAILED, answer, failed_jobs, note_failure, one_message
 from uwirl.apps.job import run_job
 from uwirl.config import compose
 from uwirl.config.schema import register
@@ -19,7 +19,7 @@ def main() -> None:
     """Entry point. Exits 2, with one message and no run folder, on a bad configuration; 1 if a run failed."""
     register()
     answer("uwirl", "config", _check)
-    with failed_jobs() as failures:
+    with one_message("uwirl"), failed_jobs() as failures:
 
         @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="config")
         def job(composed: DictConfig) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from uwirl.study.evaluation import Evaluation
+from uwirl.study.whole_files import write_whole
 from uwirl.world.scenario import Scenario
 
 # 680 x 850 pixels.
@@ -52,7 +54,9 @@ def save(
     palette = images[0].quantize(method=Image.Quantize.FASTOCTREE)
     first, *others = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
     path.parent.mkdir(parents=True, exist_ok=True)
-    first.save(path, save_all=True, append_images=others, duration=round(1000 / fps), loop=0)
+    film_bytes = io.BytesIO()
+    first.save(film_bytes, "GIF", save_all=True, append_images=others, duration=round(1000 / fps), loop=0)
+    write_whole(path, film_bytes.getvalue())
 
 
 def _cylinders(scenario: Scenario, world: int, time: NDArray) -> tuple[NDArray, NDArray, NDArray]:

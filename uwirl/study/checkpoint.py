@@ -10,9 +10,13 @@ from typing import Any
 
 import torch
 
-from uwirl.study.whole_files import write_whole
+from uwirl.study.whole_files import read_whole, write_whole
 
 FORMAT_VERSION = 2
+# A checkpoint of a few vehicles takes 0.1 MB, its digests 80 bytes each.
+MOST_BYTES, MOST_DIGEST_BYTES = 2 * 10**9, 10**4
+# A run may be saving another one while this one is read.
+ATTEMPTS = 3
 
 
 class CheckpointError(ValueError):
@@ -23,10 +27,13 @@ def locate(path: Path) -> Path:
     """The file that is meant: a run folder stands for its checkpoints/last.pt.
 
     Raises:
-        CheckpointError: a folder without one.
+        CheckpointError: a folder without one, or no name of a file.
     """
-    if not path.is_dir():
-        return path
+    try:
+        if not path.is_dir():
+            return path
+    except OSError as error:
+        raise CheckpointError(f"{path}: cannot be read ({error.strerror})") from None
     file = path / "checkpoints" / "last.pt"
     if not file.is_file():
         raise CheckpointError(
@@ -69,15 +76,11 @@ def load(path: Path, device: str = "cpu") -> dict[str, Any]:
     Raises:
         CheckpointError: missing, damaged, of another format, or holding anything but plain data.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise CheckpointError(f"{path}: cannot be read ({error.strerror})") from None
-    try:
-        digests = [line.split()[0] for line in _digest_file(path).read_text().splitlines() if line.strip()]
-    except (OSError, UnicodeDecodeError):
-        raise CheckpointError(f"{path}: the sha256 beside it cannot be read") from None
-    if hashlib.sha256(data).hexdigest() not in digests:
+    for _ in range(ATTEMPTS):
+        data, digests = _read(path)
+        if hashlib.sha256(data).hexdigest() in digests:
+            break
+    else:
         raise CheckpointError(f"{path}: damaged, its sha256 differs from the one beside it")
     try:
         with warnings.catch_warnings(action="ignore"):  # about pickles that are refused anyway
@@ -89,3 +92,16 @@ def load(path: Path, device: str = "cpu") -> dict[str, Any]:
     if version != FORMAT_VERSION:
         raise CheckpointError(f"{path}: format version {version}, this program reads {FORMAT_VERSION}")
     return content
+
+
+def _read(path: Path) -> tuple[bytes, list[str]]:
+    """What is in a file, and the digests beside it."""
+    try:
+        data = read_whole(path, MOST_BYTES)
+    except OSError as error:
+        raise CheckpointError(f"{path}: cannot be read ({error.strerror})") from None
+    try:
+        text = read_whole(_digest_file(path), MOST_DIGEST_BYTES).decode()
+    except (OSError, UnicodeDecodeError):
+        raise CheckpointError(f"{path}: the sha256 beside it cannot be read") from None
+    return data, [line.split()[0] for line in text.splitlines() if line.strip()]

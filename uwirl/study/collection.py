@@ -28,12 +28,18 @@ MAIN = (
     "snr_map_rmse_dB",
     "converged",
 )
+MOST = 1e100
 # Where one override ends and the next begins in a folder's name; values may hold commas too.
 BETWEEN = re.compile(r",(?=[+~]{0,2}[A-Za-z_][\w@./]*=)")
 # Folders of a run, and of a collection, that hold no runs.
 WITHIN = {"tb", "figures", "checkpoints"}
 # Files beside runs that need no mention: Hydra's, and a collection's.
 BESIDE = {"multirun.yaml", "results.csv", "results.md", "README.md"}
+
+
+def as_number(value: Any) -> float | None:
+    """What is a number, true and false being 1 and 0; beyond MOST the squares of some would be none."""
+    return float(value) if isinstance(value, int | float) and abs(value) < MOST else None
 
 
 @dataclass(frozen=True)
@@ -55,9 +61,7 @@ class Job:
         return self.metrics["status"] == "complete"
 
     def number(self, metric: str) -> float | None:
-        """A metric that is a finite number, true and false being 1 and 0."""
-        value = self.metrics.get(metric)
-        return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+        return as_number(self.metrics.get(metric))
 
 
 @dataclass(frozen=True)
@@ -99,7 +103,7 @@ class Collection:
         for job in self.jobs:
             key = tuple(job.overrides.get(name, "") for name in varied)
             group = groups.setdefault(key, [])
-            identity = (key, job.metrics.get("config_hash") or job.name, repr(job.metrics.get("seed")))
+            identity = (key, repr(job.metrics.get("config_hash") or job.name), repr(job.metrics.get("seed")))
             if job.complete and identity not in seen:
                 seen.add(identity)
                 group.append(job)
@@ -190,12 +194,12 @@ def _read(found: Collection, folder: Path, here: Path) -> None:
     told = given if isinstance(given, list) else BETWEEN.split(here.name) if "=" in here.name else []
     overrides = dict(_override(str(text)) for text in told)
     if isinstance(metrics.get("experiment"), str):
-        overrides = {"experiment": metrics["experiment"]} | overrides
+        overrides = {"experiment": _writable(metrics["experiment"])} | overrides
     found.jobs.append(Job(name, overrides, metrics))
 
 
 def _override(text: str) -> tuple[str, str]:
-    key, _, value = text.partition("=")
+    key, _, value = _writable(text).partition("=")
     return key.lstrip("+"), value
 
 
@@ -203,3 +207,8 @@ def _name(folder: Path, path: Path) -> str:
     relative = str(path.relative_to(folder)) if path != folder else path.resolve().name
     # Names that are no UTF-8 could not be written.
     return os.fsencode(relative).decode("utf-8", "backslashreplace")
+
+
+def _writable(text: str) -> str:
+    """JSON may hold halves of signs, which are no text."""
+    return text.encode("utf-8", "backslashreplace").decode()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -11,7 +12,8 @@ matplotlib.use("Agg")
 
 from matplotlib.figure import Figure
 
-from uwirl.study.collection import MAIN, Collection, Job, numbers
+from uwirl.study.collection import MAIN, Collection, Job, as_number, numbers
+from uwirl.study.whole_files import write_whole
 
 COLUMNS = 3
 # Inches; far more groups than can be told apart would be more pixels than an image may have.
@@ -71,7 +73,7 @@ def curve(job: Job) -> list[float]:
     costs = job.metrics.get("cost_per_iteration")
     if not isinstance(costs, list):
         return []
-    return [float(x) if isinstance(x, int | float) else float("nan") for x in costs]
+    return [float("nan") if (number := as_number(x)) is None else number for x in costs]
 
 
 def curves_figure(groups: Mapping[str, Sequence[Job]]) -> Figure:
@@ -90,12 +92,13 @@ def curves_figure(groups: Mapping[str, Sequence[Job]]) -> Figure:
 
 def _label(collection: Collection, key: tuple[str, ...]) -> str:
     told = zip(collection.varied, key, strict=True)
-    return ", ".join(f"{name}={value}" for name, value in told if value) or "all"
+    # Matplotlib would read a formula between two dollar signs.
+    return ", ".join(f"{name}={value}" for name, value in told if value).replace("$", r"\$") or "all"
 
 
 def _save(figure: Figure, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".tmp")
-    figure.savefig(temporary, dpi=110, format="png")
-    temporary.replace(path)
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=110, format="png")
+    write_whole(path, picture.getvalue())
     return path

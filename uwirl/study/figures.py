@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.features import AXES, MotionBasis
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import Messages
+from uwirl.study.whole_files import write_whole
 from uwirl.world.layouts import KINDS
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario
@@ -121,8 +123,10 @@ def gap_figure(gaps: Mapping[str, Tensor]) -> Figure:
 def save(figure: Figure, path: Path) -> None:
     """Write and close a figure."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=110, format="png")
     plt.close(figure)
+    write_whole(path, picture.getvalue())
 
 
 def _path_3d(axes: Axes, scenario: Scenario, eta: NDArray) -> None:

@@ -1,11 +1,14 @@
-"""What a run leaves behind: config.yaml, metrics.json, trajectory.npz."""
+"""What a run leaves behind: config.yaml, metrics.json, trajectory.npz; and whose a folder is."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import shutil
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,13 +21,22 @@ from uwirl.config.schema import Config
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import Messages
-from uwirl.study.whole_files import write_arrays, write_whole
+from uwirl.study.whole_files import read_whole, write_arrays, write_whole
+
+log = logging.getLogger("uwirl")
 
 # What may differ between two runs with the same result.
 FREE = ("logging", "checkpoint", "resume")
 
+# Of metrics.json, which is 3 kB, or a few MB with the costs of a long learning.
+MOST_BYTES = 10**8
+
 # What a run writes besides config.yaml and run.log.
 RESULTS = ("metrics.json", "trajectory.npz", "layouts.npz", "checkpoints", "figures", "tb")
+
+
+class FolderError(ValueError):
+    """A folder that is not this run's to write into; the message names it."""
 
 
 def config_hash(config: Config | EstimateConfig, start: str | None = None) -> str:
@@ -50,6 +62,15 @@ def write_metrics(folder: Path, metrics: dict[str, Any]) -> None:
     write_whole(folder / "metrics.json", (json.dumps(_finite(metrics), indent=2) + "\n").encode())
 
 
+def close(folder: Path, metrics: dict[str, Any]) -> None:
+    """Write the metrics of a run that has ended; one whose metrics cannot be written has failed."""
+    try:
+        write_metrics(folder, metrics)
+    except OSError as error:
+        log.error("failed: %s", error)
+        metrics |= {"status": "failed", "error": metrics["error"] or f"{type(error).__name__}: {error}"}
+
+
 def read_metrics(folder: Path) -> dict[str, Any]:
     """What metrics.json holds.
 
@@ -58,7 +79,7 @@ def read_metrics(folder: Path) -> dict[str, Any]:
         ValueError: it is no run's.
     """
     try:
-        metrics = json.loads((folder / "metrics.json").read_bytes())
+        metrics = json.loads(read_whole(folder / "metrics.json", MOST_BYTES))
     except RecursionError:
         raise ValueError("nested too deeply") from None
     if not isinstance(metrics, dict) or metrics.get("status") not in ("complete", "failed"):
@@ -80,25 +101,62 @@ def _relevant(settings: Mapping[Any, Any]) -> dict[str, Any]:
     return {str(key): value for key, value in settings.items() if key not in FREE}
 
 
-def claim(folder: Path, config: Config) -> bool:
-    """Take a folder for a run; False if it is, or just becomes, that of another configuration."""
-    path = folder / "config.yaml"
-    try:
-        # Of two processes that come at once only one creates it.
-        path.open("x").close()
-    except FileExistsError:
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Keep other processes out of a folder; however this one ends, its hold ends with it.
+
+    Raises:
+        FolderError: another process has it.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    import fcntl
+
+    with (folder / "run.log").open("ab") as file:
         try:
-            settings = OmegaConf.to_container(OmegaConf.load(path))
-        except Exception:
-            # Damaged in whatever way, it is not this configuration.
-            return False
-        return isinstance(settings, dict) and _relevant(settings) == _relevant(asdict(config))
-    return True
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise FolderError(f"{folder}: another process is running in it; wait for it, or choose another") from None
+        except OSError:
+            # A file system without locks: then who starts two runs in one folder must see to it himself.
+            pass
+        yield
+
+
+def check_free(folder: Path, config: Config | EstimateConfig) -> None:
+    """Raises FolderError where another configuration's run has been."""
+    path = folder / "config.yaml"
+    if not path.exists():
+        return
+    try:
+        settings = OmegaConf.to_container(OmegaConf.load(path))
+    except Exception:
+        # Damaged in whatever way, it is not this configuration.
+        settings = None
+    if not isinstance(settings, dict) or _relevant(settings) != _relevant(asdict(config)):
+        raise _another(folder)
+
+
+def check_own(folder: Path, config_hash: str) -> None:
+    """Raises FolderError where a run has been that is not, for certain, the one with this hash."""
+    if not any((folder / name).exists() for name in ("config.yaml", "metrics.json")):
+        return
+    try:
+        own = read_metrics(folder).get("config_hash") == config_hash
+    except (OSError, ValueError):
+        own = False
+    if not own:
+        raise _another(folder)
+
+
+def _another(folder: Path) -> FolderError:
+    return FolderError(f"hydra.run.dir: {folder} holds another run, and is left as it is")
 
 
 def clear(folder: Path) -> None:
     """Remove what an earlier run left, so that none of it passes for the next one's; nothing where no run has been."""
-    # A folder that was just claimed has an empty configuration, and may be someone's own: hydra.run.dir=. is allowed.
+    # The folder may be someone's own: hydra.run.dir=. is allowed.
     traces = (folder / "config.yaml", folder / "metrics.json")
     if not any(path.is_file() and path.stat().st_size for path in traces):
         return

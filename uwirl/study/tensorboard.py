@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -46,13 +47,18 @@ class TensorBoard:
 
     def __init__(self, folder: Path | None):
         self.continues = folder is not None and folder.exists()
+        # The writer's own thread tells of a full disk by a traceback, and here the same error is raised again.
+        self._before, threading.excepthook = threading.excepthook, _tell_all_but_os_errors
         self.writer: Any = _Nowhere() if folder is None else SummaryWriter(str(folder))
 
     def __enter__(self) -> TensorBoard:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self.writer.close()
+        try:
+            self.writer.close()
+        finally:
+            threading.excepthook = self._before
 
     def flush(self) -> None:
         """Write what is waiting, lest it be lost if the run is killed."""
@@ -131,6 +137,11 @@ class TensorBoard:
             self.writer._get_file_writer().add_summary(summary)
         for name, value in results.items():
             self.writer.add_scalar(f"result/{name}", value, 0)
+
+
+def _tell_all_but_os_errors(told: threading.ExceptHookArgs) -> None:
+    if not issubclass(told.exc_type, OSError):
+        threading.__excepthook__(told)
 
 
 class _Nowhere:

@@ -1,9 +1,11 @@
-"""Files that are there whole or not at all, whenever a run is killed."""
+"""Files that are there whole or not at all, whenever a run is killed or a disk full."""
 
 from __future__ import annotations
 
+import errno
 import io
 import os
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,9 @@ def write_whole(path: Path, content: bytes) -> None:
     """Write to a temporary file in the same folder, flush it to disk, then rename it over `path`.
 
     Its name is always the same: what a killed run left of it is overwritten by the next.
+
+    Raises:
+        OSError: it names `path`.
     """
     temporary = path.with_name(path.name + ".tmp")
     try:
@@ -22,9 +27,26 @@ def write_whole(path: Path, content: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    except BaseException:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise OSError(error.errno, error.strerror, str(path)) from None
         raise
+
+
+def read_whole(path: Path, most_bytes: int) -> bytes:
+    """What a regular file holds.
+
+    Raises:
+        OSError: it cannot be read, is none (a pipe would be waited for), or larger than any that is meant.
+    """
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        number = errno.EISDIR if stat.S_ISDIR(status.st_mode) else errno.EINVAL
+        raise OSError(number, "Is a directory" if number == errno.EISDIR else "Not a regular file", str(path))
+    if status.st_size > most_bytes:
+        raise OSError(errno.EFBIG, "File too large", str(path))
+    return path.read_bytes()
 
 
 def write_arrays(path: Path, **arrays: Any) -> None:
