@@ -22,7 +22,8 @@ FLOORS = {
     "study": 5,
     "builders": 6,
     "build": 7,
-    "apps": 8,
+    "runs": 8,
+    "apps": 9,
 }
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from uwirl.apps import collect
+from uwirl.study import collection_figure
 
 
 @pytest.fixture
@@ -101,3 +102,12 @@ def test_results_that_cannot_be_written(run, tmp_path, capsys):
     assert "1 complete" in out
     assert err == f"uwirl-collect: {tmp_path / 'results.csv.tmp'}: cannot be written: {os.strerror(21)}\n"
     assert not (tmp_path / "results.csv").exists()
+
+
+def test_more_groups_than_can_be_told_apart_are_not_drawn(run, tmp_path, capsys):
+    for k in range(collection_figure.MOST_GROUPS + 1):
+        add(tmp_path / f"planner.gain={k}", cost_total=float(k))
+    assert run(str(tmp_path)) == 0
+    assert "no figures: more than 200 groups" in capsys.readouterr().out
+    assert not (tmp_path / "figures").exists()
+    assert len((tmp_path / "results.csv").read_text().splitlines()) == collection_figure.MOST_GROUPS + 2

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from uwirl.apps.survey import Survey, run
 from uwirl.config.compose import composed
 from uwirl.config.estimate_rules import validate_estimate
 from uwirl.config.estimate_schema import register
+from uwirl.runs.survey import Survey, run
 from uwirl.snr.estimate import NAMES
 
 SAMPLE = Path(__file__).parents[2] / "examples" / "readings.csv"
@@ -227,7 +227,7 @@ def test_command_leaves_a_run_folder(tmp_path):
 def test_sigterm_ends_it_and_says_so(tmp_path):
     """Sent by the run to itself while it draws the map, so that the moment is always the same."""
     program = (
-        "import os, signal; from uwirl.apps import survey; from uwirl.apps.estimate import main\n"
+        "import os, signal; from uwirl.runs import survey; from uwirl.apps.estimate import main\n"
         "survey.make_map = lambda *_: os.kill(os.getpid(), signal.SIGTERM); main()"
     )
     command = [sys.executable, "-c", program, f"data={SAMPLE}", "hydra.run.dir=run"]

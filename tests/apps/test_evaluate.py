@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import torch
 
-from uwirl.apps import algorithm, evaluate, evaluation
+from uwirl.apps import evaluate
 from uwirl.config.compose import compose
 from uwirl.config.validate import ConfigError, validate
+from uwirl.runs import algorithm, evaluation
 from uwirl.study import checkpoint, shadowing
 from uwirl.study.checkpoint import CheckpointError
 
@@ -178,7 +179,7 @@ def test_the_hash_tells_what_a_run_starts_from_but_not_where_that_lies(source, p
     for end in ("", ".sha256"):
         original = source / "checkpoints" / f"last.pt{end}"
         copy.with_name(copy.name + end).write_bytes(original.read_bytes())
-    from uwirl.apps.saving import Origin
+    from uwirl.runs.saving import Origin
 
     def hashed(place: Path | None) -> str:
         config = compose([*SHORT, f"init_from={place or 'null'}"])

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 import torch
 
-from uwirl.apps import algorithm, saving
 from uwirl.apps.continuation import continued
-from uwirl.apps.interruption import Interrupted
 from uwirl.apps.run import main
 from uwirl.config.compose import compose
 from uwirl.config.validate import validate
+from uwirl.runs import algorithm, saving
+from uwirl.runs.interruption import Interrupted
 from uwirl.study import checkpoint
 from uwirl.study.checkpoint import CheckpointError
 

@@ -10,8 +10,8 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from uwirl.apps import algorithm
 from uwirl.config.validate import validate
+from uwirl.runs import algorithm
 from uwirl.snr.estimate import NAMES
 from uwirl.study import checkpoint, run_folder
 

@@ -8,9 +8,9 @@ import torch
 from scipy import stats
 
 from uwirl import build
-from uwirl.apps.layouts import campaign
 from uwirl.config import world_rules
 from uwirl.motion.targets import mean_channel_targets
+from uwirl.runs.layouts import campaign
 from uwirl.snr.estimators import oracle
 from uwirl.snr.measurements import take_readings
 from uwirl.study.campaign import Outcomes, fly, upper_bound

@@ -194,7 +194,7 @@ def test_boxes_of_what_differs_alone(add, tmp_path, monkeypatch):
         told = {"collisions": 0, "converged": seed > 0, "reach_rate": None if seed else 1.0}
         add(f"seed={seed}", cost_total=3.0 + seed, time_to_99_percent_s=t99, seed=seed, **told)
     drawn = []
-    monkeypatch.setattr(collection_figure, "_save", lambda figure, path: drawn.append(figure) or path)
+    monkeypatch.setattr(collection_figure, "write_figure", lambda path, figure: drawn.append(figure))
     assert len(collection_figure.draw(collect(tmp_path), tmp_path / "figures")) == 1
     assert [axes.get_xlabel() for axes in drawn[0].axes] == ["cost_total", "time_to_99_percent_s"]
 
@@ -251,7 +251,8 @@ def test_a_figure_that_cannot_be_written_leaves_the_one_before(add, tmp_path, mo
     def full_disk(handle):
         raise OSError(28, "No space left on device")
 
-    add("seed=0", cost_total=1.0)
+    for seed in range(2):
+        add(f"seed={seed}", cost_total=1.0 + seed, seed=seed)
     path = tmp_path / "figures" / "boxes.png"
     path.parent.mkdir()
     if present:

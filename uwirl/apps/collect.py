@@ -47,9 +47,12 @@ def _collect(folder: Path) -> int:
         if importlib.util.find_spec("matplotlib") is None:
             told.append("no figures: matplotlib is not installed (pip install 'uwirl[plot]')")
         else:
-            from uwirl.study.collection_figure import draw
+            from uwirl.study.collection_figure import MOST_GROUPS, draw
 
-            told += [f"figure: {path}" for path in draw(found, folder / "figures")]
+            if len(found.groups()) > MOST_GROUPS:
+                told.append(f"no figures: more than {MOST_GROUPS} groups cannot be told apart; collect a part of them")
+            else:
+                told += [f"figure: {path}" for path in draw(found, folder / "figures")]
     except OSError as error:
         print(f"uwirl-collect: {error.filename or folder}: cannot be written: {error.strerror}", file=sys.stderr)
         code = FAILED

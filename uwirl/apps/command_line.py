@@ -11,18 +11,20 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import hydra
 from hydra._internal.utils import get_args_parser
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from uwirl.apps.interruption import Interrupted, Interruption
 from uwirl.config.checks import ConfigError
-from uwirl.config.compose import composed, searching
+from uwirl.config.compose import composed, folder, searching
 from uwirl.config.help import help_text
 from uwirl.config.suggestions import did_you_mean, similar
 from uwirl.config.sweeps import samples, space
+from uwirl.runs.interruption import Interrupted, Interruption
 
 BAD_CONFIGURATION = 2
 FAILED = 1
@@ -140,6 +142,35 @@ def one_message(program: str) -> Iterator[None]:
             raise
         say(program, f"{cause.filename}: cannot be written ({cause.strerror}); choose another place: {PLACES}")
         sys.exit(BAD_CONFIGURATION)
+
+
+def launch(program: str, name: str, job: Callable[[DictConfig], dict[str, Any]]) -> None:
+    """Let Hydra compose and run one job, or those of a sweep.
+
+    Args:
+        program: its name.
+        name: of the primary configuration.
+        job: from what was composed to what metrics.json holds; a sweeper that searches makes its `cost_total` small.
+
+    Raises:
+        SystemExit: FAILED if a job has failed, and what `one_message` says.
+    """
+    with one_message(program), failed_jobs() as failures:
+
+        @hydra.main(version_base="1.3", config_path=str(folder()), config_name=name)
+        def task(composed: DictConfig) -> float | None:
+            # Written first, so that a job that raises, which a search would go on after, has failed too.
+            note = note_failure(failures)
+            metrics = job(composed)
+            if metrics["status"] != "complete":
+                return None
+            note.unlink()
+            return metrics.get("cost_total")
+
+        task()
+        failed = any(failures.iterdir())
+    if failed:
+        sys.exit(FAILED)
 
 
 @contextmanager

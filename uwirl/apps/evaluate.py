@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
-import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, one_message, say
+from uwirl.apps.command_line import BAD_CONFIGURATION, launch, say
+from uwirl.apps.job import in_folder
 from uwirl.config import compose
+from uwirl.config.overrides import key_of, without
 from uwirl.config.schema import Config, IrlConfig, register
 from uwirl.config.validate import ConfigError, validate
 
@@ -29,42 +31,26 @@ def main() -> None:
     except ValueError as error:
         say("uwirl-evaluate", error)
         sys.exit(BAD_CONFIGURATION)
-    failures: list[str] = []
+    launch("uwirl-evaluate", "config", lambda composed: in_folder("uwirl-evaluate", partial(_job, composed, path)))
 
-    @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="config")
-    def job(composed: DictConfig) -> None:
-        from uwirl.apps.evaluation import run
-        from uwirl.apps.interruption import Interrupted
-        from uwirl.study import checkpoint, run_folder
 
-        settings = HydraConfig.get()
-        folder, sweep = Path(settings.runtime.output_dir), settings.mode is RunMode.MULTIRUN
-        try:
-            config = _validated(compose.to_config(composed))
-        except ConfigError as error:
-            say("uwirl-evaluate", error)
-            failures.append(str(error))
-            return
-        try:
-            with run_folder.held(folder):
-                if not sweep:
-                    run_folder.check_own(folder, run_folder.config_hash(config, checkpoint.digest(path)))
-                metrics = run(config, settings.runtime.choices["experiment"], folder, path)
-        except run_folder.FolderError as error:
-            say("uwirl-evaluate", error)
-            if not sweep:
-                sys.exit(BAD_CONFIGURATION)
-            failures.append(str(error))
-            return
-        except Interrupted as interrupted:
-            sys.exit(interrupted.exit_code)
-        if metrics["status"] != "complete":
-            failures.append(metrics["error"])
+def _job(composed: DictConfig, path: Path, folder: Path, sweep: bool) -> dict[str, Any]:
+    """Evaluate a checkpoint in a job's folder; returns what metrics.json holds."""
+    from uwirl.runs.evaluation import run
+    from uwirl.runs.refusal import write_refusal
+    from uwirl.study import checkpoint, run_folder
 
-    with one_message("uwirl-evaluate"):
-        job()
-    if failures:
-        sys.exit(FAILED)
+    job = HydraConfig.get()
+    experiment = str(job.runtime.choices["experiment"])
+    try:
+        config = _validated(compose.to_config(composed))
+    except ConfigError as error:
+        # One command line was checked before, so this is a job of a sweep.
+        say("uwirl-evaluate", error)
+        return write_refusal(folder, experiment, list(job.overrides.task), None, error)
+    if not sweep:
+        run_folder.check_own(folder, run_folder.config_hash(config, checkpoint.digest(path)))
+    return run(config, experiment, folder, path)
 
 
 def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
@@ -82,7 +68,6 @@ def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
     if len(given) != 1 or given == ["checkpoint="]:
         raise ConfigError("checkpoint", "give one file or run folder, as in `uwirl-evaluate checkpoint=PATH`")
     # Imported here because they need torch.
-    from uwirl.apps.continuation import key_of, without
     from uwirl.study import checkpoint, learning_file
 
     path = checkpoint.locate(Path(given[0].split("=", 1)[1]))

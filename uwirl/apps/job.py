@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -43,35 +44,47 @@ def folder_name(overrides: str) -> str:
 OmegaConf.register_new_resolver("job_folder", folder_name, replace=True)
 
 
-def run_job(composed: DictConfig) -> dict[str, Any]:
-    """Run what Hydra composed, unless it is a sweep's and has been done before.
+def in_folder(program: str, work: Callable[[Path, bool], dict[str, Any]]) -> dict[str, Any]:
+    """Do a job's work in the folder that Hydra has made for it, in which no other process is then.
+
+    Args:
+        program: its name.
+        work: of the folder, and whether it is one of a sweep; returns what metrics.json holds.
 
     Returns:
-        What metrics.json holds; only status and error if the folder of a sweep's job is in use.
+        The same; only status and error if the folder of a sweep's job is not free.
 
     Raises:
-        SystemExit: the folder of a single run is that of another one, or the run was interrupted.
+        SystemExit: that of a single run is not free, or a signal came.
     """
     # Imported here so that a bad configuration is answered before torch is loaded.
+    from uwirl.runs.interruption import Interrupted
     from uwirl.study import run_folder
 
     job = HydraConfig.get()
     folder, sweep = Path(job.runtime.output_dir), job.mode is RunMode.MULTIRUN
     try:
         with run_folder.held(folder):
-            return _run(composed, folder, sweep)
+            return work(folder, sweep)
     except run_folder.FolderError as error:
-        say("uwirl", error)
+        say(program, error)
         if not sweep:
             sys.exit(BAD_CONFIGURATION)
         return {"status": "failed", "error": str(error)}
+    except Interrupted as interrupted:
+        # Not only this job: who interrupts a sweep wants it to end.
+        sys.exit(interrupted.exit_code)
+
+
+def run_job(composed: DictConfig) -> dict[str, Any]:
+    """Run what Hydra composed, unless it is a sweep's and has been done before; see `in_folder`."""
+    return in_folder("uwirl", lambda folder, sweep: _run(composed, folder, sweep))
 
 
 def _run(composed: DictConfig, folder: Path, sweep: bool) -> dict[str, Any]:
-    from uwirl.apps.algorithm import run
-    from uwirl.apps.interruption import Interrupted
-    from uwirl.apps.refusal import write_refusal
-    from uwirl.apps.saving import Origin
+    from uwirl.runs.algorithm import run
+    from uwirl.runs.refusal import write_refusal
+    from uwirl.runs.saving import Origin
     from uwirl.study import run_folder
     from uwirl.study.checkpoint import CheckpointError
 
@@ -98,8 +111,4 @@ def _run(composed: DictConfig, folder: Path, sweep: bool) -> dict[str, Any]:
         if not sweep:
             run_folder.check_free(folder, config)
         run_folder.clear(folder)
-    try:
-        return run(config, experiment, folder, overrides)
-    except Interrupted as interrupted:
-        # Not only this job: who interrupts a sweep wants it to end.
-        sys.exit(interrupted.exit_code)
+    return run(config, experiment, folder, overrides)

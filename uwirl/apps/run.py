@@ -5,10 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig
 
-from uwirl.apps.command_line import FAILED, answer, failed_jobs, note_failure, one_message
+from uwirl.apps.command_line import answer, launch
 from uwirl.apps.job import run_job
 from uwirl.config import compose
 from uwirl.config.schema import register
@@ -19,23 +18,7 @@ def main() -> None:
     """Entry point. Exits 2, with one message and no run folder, on a bad configuration; 1 if a run failed."""
     register()
     answer("uwirl", "config", _check)
-    with one_message("uwirl"), failed_jobs() as failures:
-
-        @hydra.main(version_base="1.3", config_path=str(compose.folder()), config_name="config")
-        def job(composed: DictConfig) -> float | None:
-            # Written first, so that a job that raises, which a search would go on after, has failed too.
-            note = note_failure(failures)
-            metrics = run_job(composed)
-            if metrics["status"] != "complete":
-                return None
-            note.unlink()
-            # What a sweeper that searches makes small.
-            return metrics.get("cost_total")
-
-        job()
-        failed = any(failures.iterdir())
-    if failed:
-        sys.exit(FAILED)
+    launch("uwirl", "config", run_job)
 
 
 def _check(composed: DictConfig) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -13,11 +12,11 @@ matplotlib.use("Agg")
 from matplotlib.figure import Figure
 
 from uwirl.study.collection import MAIN, Collection, Job, as_number, numbers
-from uwirl.study.whole_files import write_whole
+from uwirl.study.whole_files import write_figure
 
 COLUMNS = 3
-# Inches; far more groups than can be told apart would be more pixels than an image may have.
-MOST_HEIGHT = 100.0
+# Far more than can be told apart; as many as 10,000 would take minutes, and more pixels than an image may have.
+MOST_GROUPS = 200
 
 
 def draw(collection: Collection, folder: Path) -> list[Path]:
@@ -29,13 +28,15 @@ def draw(collection: Collection, folder: Path) -> list[Path]:
     """
     groups = {_label(collection, key): group for key, group in collection.groups().items() if group}
     jobs = [job for group in groups.values() for job in group]
-    written = []
+    figures = {}
     metrics = [metric for metric in MAIN if _spread(jobs, metric)]
     if metrics:
-        written.append(_save(boxes_figure(groups, metrics), folder / "boxes.png"))
+        figures["boxes.png"] = boxes_figure(groups, metrics)
     if any(curve(job) for job in jobs):
-        written.append(_save(curves_figure(groups), folder / "learning_curves.png"))
-    return written
+        figures["learning_curves.png"] = curves_figure(groups)
+    for name, figure in figures.items():
+        write_figure(folder / name, figure)
+    return [folder / name for name in figures]
 
 
 def _spread(jobs: Sequence[Job], metric: str) -> bool:
@@ -48,8 +49,7 @@ def boxes_figure(groups: Mapping[str, Sequence[Job]], metrics: Sequence[str]) ->
     """A panel for each metric, in it a box and the points of each group."""
     columns = min(COLUMNS, len(metrics))
     rows = -(-len(metrics) // columns)
-    height = min(MOST_HEIGHT, rows * (1.2 + 0.35 * len(groups)))
-    figure = Figure(figsize=(5.0 * columns, height), layout="constrained")
+    figure = Figure(figsize=(5.0 * columns, rows * (1.2 + 0.35 * len(groups))), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True).flatten()
     places = range(1, len(groups) + 1)
     for axes, metric in zip(panels, metrics, strict=False):
@@ -94,11 +94,3 @@ def _label(collection: Collection, key: tuple[str, ...]) -> str:
     told = zip(collection.varied, key, strict=True)
     # Matplotlib would read a formula between two dollar signs.
     return ", ".join(f"{name}={value}" for name, value in told if value).replace("$", r"\$") or "all"
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    picture = io.BytesIO()
-    figure.savefig(picture, dpi=110, format="png")
-    write_whole(path, picture.getvalue())
-    return path

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +22,7 @@ from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.features import AXES, MotionBasis
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import Messages
-from uwirl.study.whole_files import write_whole
+from uwirl.study.whole_files import write_figure
 from uwirl.world.layouts import KINDS
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario
@@ -122,11 +121,8 @@ def gap_figure(gaps: Mapping[str, Tensor]) -> Figure:
 
 def save(figure: Figure, path: Path) -> None:
     """Write and close a figure."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    picture = io.BytesIO()
-    figure.savefig(picture, dpi=110, format="png")
+    write_figure(path, figure)
     plt.close(figure)
-    write_whole(path, picture.getvalue())
 
 
 def _path_3d(axes: Axes, scenario: Scenario, eta: NDArray) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from omegaconf import OmegaConf
 
 from uwirl.config.estimate_schema import EstimateConfig
+from uwirl.config.overrides import FREE
 from uwirl.config.schema import Config
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.evaluation import Evaluation
@@ -24,9 +25,6 @@ from uwirl.study.shadowing import Messages
 from uwirl.study.whole_files import read_whole, write_arrays, write_whole
 
 log = logging.getLogger("uwirl")
-
-# What may differ between two runs with the same result.
-FREE = ("logging", "checkpoint", "resume")
 
 # Of metrics.json, which is 3 kB, or a few MB with the costs of a long learning.
 MOST_BYTES = 10**8

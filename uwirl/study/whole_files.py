@@ -7,9 +7,12 @@ import io
 import os
 import stat
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -53,4 +56,12 @@ def write_arrays(path: Path, **arrays: Any) -> None:
     """A compressed .npz file of named arrays."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
+    write_whole(path, buffer.getvalue())
+
+
+def write_figure(path: Path, figure: Figure) -> None:
+    """A PNG file, whose folder is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=110, format="png")
     write_whole(path, buffer.getvalue())

@@ -11,10 +11,10 @@ from typing import Any
 import torch
 
 import uwirl
-from uwirl.apps.interruption import Interrupted, Interruption
 from uwirl.config.checks import ConfigError
 from uwirl.irl.policy_iteration import InadmissiblePolicyError, InsufficientDataError
 from uwirl.motion.targets import NoTargetError
+from uwirl.runs.interruption import Interrupted, Interruption
 from uwirl.snr.model import UnidentifiableError
 from uwirl.study import run_folder
 from uwirl.study.checkpoint import CheckpointError

@@ -9,14 +9,14 @@ from typing import Any
 import torch
 
 from uwirl import build
-from uwirl.apps import pictures
-from uwirl.apps.interruption import Interruption
-from uwirl.apps.judge import Judge
-from uwirl.apps.layouts import campaign
-from uwirl.apps.recorded import recorded
-from uwirl.apps.summary import table
 from uwirl.config.schema import Config
 from uwirl.motion.planner import IrlPlanner
+from uwirl.runs import pictures
+from uwirl.runs.interruption import Interruption
+from uwirl.runs.judge import Judge
+from uwirl.runs.layouts import campaign
+from uwirl.runs.recorded import recorded
+from uwirl.runs.summary import table
 from uwirl.snr.measurements import readings_of_each_vehicle
 from uwirl.study import checkpoint, run_folder, shadowing
 from uwirl.study.learning_file import load, take_estimate, take_trim, take_weights

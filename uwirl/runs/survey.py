@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from uwirl import build
-from uwirl.apps import pictures
-from uwirl.apps.interruption import Interruption
-from uwirl.apps.recorded import recorded
 from uwirl.config.checks import ConfigError
 from uwirl.config.estimate_schema import EstimateConfig
+from uwirl.runs import pictures
+from uwirl.runs.interruption import Interruption
+from uwirl.runs.recorded import recorded
 from uwirl.snr.diagnostics import Diagnostics, diagnose
 from uwirl.snr.kriging import Kriging
 from uwirl.snr.log import Log, LogError, read_log

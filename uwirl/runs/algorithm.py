@@ -11,18 +11,18 @@ from typing import Any
 import torch
 
 from uwirl import build
-from uwirl.apps import pictures
-from uwirl.apps.continuation import effective
-from uwirl.apps.interruption import Interruption
-from uwirl.apps.judge import Judge
-from uwirl.apps.layouts import campaign
-from uwirl.apps.learning import learn, learning_metrics
-from uwirl.apps.recorded import recorded
-from uwirl.apps.saving import Checkpoints, Origin
-from uwirl.apps.summary import table
+from uwirl.config.overrides import effective
 from uwirl.config.schema import Config, IrlConfig, PlannerConfig
 from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.planner import IrlPlanner
+from uwirl.runs import pictures
+from uwirl.runs.interruption import Interruption
+from uwirl.runs.judge import Judge
+from uwirl.runs.layouts import campaign
+from uwirl.runs.learning import learn, learning_metrics
+from uwirl.runs.recorded import recorded
+from uwirl.runs.saving import Checkpoints, Origin
+from uwirl.runs.summary import table
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.snr.measurements import Readings, readings_of_each_vehicle

@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from uwirl.apps.interruption import Interruption
-from uwirl.apps.progress import Progress
-from uwirl.apps.saving import Checkpoints, Origin
 from uwirl.config.schema import Config, IrlConfig
 from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.planner import LearningPlanner
+from uwirl.runs.interruption import Interruption
+from uwirl.runs.progress import Progress
+from uwirl.runs.saving import Checkpoints, Origin
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study.tensorboard import TensorBoard
 from uwirl.world.relay import Relay

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import uwirl
-from uwirl.apps.continuation import effective
 from uwirl.config.estimate_schema import EstimateConfig
+from uwirl.config.overrides import effective
 from uwirl.config.schema import Config
 from uwirl.study import run_folder
 

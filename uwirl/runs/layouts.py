@@ -10,10 +10,10 @@ from typing import Any
 import torch
 
 from uwirl import build
-from uwirl.apps import pictures
 from uwirl.config.schema import Config
 from uwirl.motion.policy import Policy
 from uwirl.motion.targets import mean_channel_targets
+from uwirl.runs import pictures
 from uwirl.study.campaign import fly
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.whole_files import write_arrays
