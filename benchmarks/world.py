@@ -19,7 +19,7 @@ import re
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ import torch
 from torch import Tensor
 
 from uwirl.config.compose import compose
+from uwirl.config.own_schema import values
 from uwirl.config.schema import VehicleConfig
 from uwirl.world.vehicle import Vehicle, VehicleState
 
@@ -107,7 +108,7 @@ def draw(worlds: int, dtype: torch.dtype) -> tuple[VehicleState, Tensor]:
 
 def scalar_workload(config: VehicleConfig) -> Workload:
     """The hand-written vehicle, checked against `Vehicle.step` on 100 vehicles over 20 steps."""
-    vehicle, scalar = Vehicle(**asdict(config)), ScalarVehicle(config)
+    vehicle, scalar = Vehicle(**values(config)), ScalarVehicle(config)
     state, tau = draw(100, torch.float64)
     forces: list[list[float]] = tau[:, 0].tolist()
     singles: list[list[float]] = state.components[..., 0].T.tolist()
@@ -144,7 +145,7 @@ def vehicle_workloads(config: VehicleConfig) -> dict[Key, Workload]:
     found: dict[Key, Workload] = {}
     can_compile = True
     for name, dtype in DTYPES.items():
-        vehicle = Vehicle(**asdict(config), dtype=dtype)
+        vehicle = Vehicle(**values(config), dtype=dtype)
 
         def rk4(x: Tensor, tau: Tensor, vehicle: Vehicle = vehicle) -> Tensor:
             return vehicle.rk4(x, tau, DT)

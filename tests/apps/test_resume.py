@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -99,23 +100,59 @@ def finish(folder: Path, call: Callable[..., None]) -> None:
     go(folder, *SHORT)
 
 
+# SIGKILL where the digest is new and the checkpoint, after 16 iterations, old.
+KILLED = """
+import os, signal
+from uwirl.apps.run import main
+put, count = os.replace, iter(range(10**6))
+def replace(a, b):
+    put(a, b)
+    if str(b).endswith("sha256") and next(count) == 8:
+        os.kill(os.getpid(), signal.SIGKILL)
+os.replace = replace
+main()
+"""
+
+
 def test_killed_while_it_saves(tmp_path, whole):
-    """SIGKILL where the digest is new and the checkpoint old."""
-    program = (
-        "import os, signal; from uwirl.apps.run import main; put, count = os.replace, iter(range(10**6))\n"
-        "def replace(a, b):\n"
-        "    put(a, b)\n"
-        "    if str(b).endswith('sha256') and next(count) == 8: os.kill(os.getpid(), signal.SIGKILL)\n"
-        "os.replace = replace; main()"
-    )
     folder = tmp_path / "run"
-    killed = [sys.executable, "-c", program, *SHORT, "checkpoint.every=1", f"hydra.run.dir={folder}"]
+    killed = [sys.executable, "-c", KILLED, *SHORT, "checkpoint.every=1", f"hydra.run.dir={folder}"]
     assert subprocess.run(killed, cwd=tmp_path, capture_output=True, check=False).returncode == -signal.SIGKILL
     assert not (folder / "metrics.json").exists()
     assert len((folder / "checkpoints" / "last.pt.sha256").read_text().splitlines()) == 2
     assert checkpoint.load(folder / "checkpoints" / "last.pt")["iteration"] == 16
     go(folder, *SHORT, "checkpoint.every=1", f"resume={folder}")
     assert_same(folder, whole)
+
+
+def test_a_sweep_goes_on_where_a_job_was_killed(tmp_path, whole, call):
+    words = ["-m", *SHORT, "checkpoint.every=1", f"hydra.sweep.dir={tmp_path}"]
+    subprocess.run([sys.executable, "-c", KILLED, *words], cwd=tmp_path, capture_output=True, check=False)
+    call(main, *words)
+    (log,) = tmp_path.glob("*/run.log")
+    assert "continues after iteration 16" in log.read_text()
+    assert_same(log.parent, whole)
+
+
+@pytest.mark.parametrize(
+    ("metrics", "goes_on"),
+    [
+        (None, True),
+        ({"status": "failed", "error": "interrupted by SIGTERM; resume=last.pt continues"}, True),
+        ({"status": "failed", "error": "DivergedError: nu is not finite"}, False),
+        ({"status": "complete", "error": None}, False),
+    ],
+)
+def test_what_counts_as_unfinished(whole, tmp_path, metrics, goes_on):
+    shutil.copytree(whole / "checkpoints", tmp_path / "checkpoints")
+    if metrics is not None:
+        (tmp_path / "metrics.json").write_text(json.dumps(metrics))
+    path = tmp_path / "checkpoints" / "last.pt"
+    config_hash = checkpoint.load(path)["config_hash"]
+    assert saving.unfinished(tmp_path, config_hash) == (path if goes_on else None)
+    assert saving.unfinished(tmp_path, "another") is None
+    path.write_bytes(path.read_bytes()[:-1])
+    assert saving.unfinished(tmp_path, config_hash) is None
 
 
 def test_killed_at_a_random_moment(tmp_path, whole, call):

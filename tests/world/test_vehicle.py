@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from scipy.integrate import solve_ivp
 from torch import Tensor
 
 from uwirl.config.compose import folder
+from uwirl.config.own_schema import values
 from uwirl.world import vehicle as vehicle_module
 from uwirl.world.vehicle import Vehicle, VehicleState
 
@@ -21,7 +21,7 @@ BATCH = (6, 2)
 
 @pytest.fixture(params=PRESETS)
 def settings(request: pytest.FixtureRequest, make_config) -> dict:
-    return asdict(make_config(f"vehicle={request.param}").vehicle)
+    return values(make_config(f"vehicle={request.param}").vehicle)
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def vehicle(settings: dict) -> Vehicle:
 
 @pytest.fixture
 def bluerov2(make_config) -> Vehicle:
-    return Vehicle(**asdict(make_config("vehicle=bluerov2").vehicle))
+    return Vehicle(**values(make_config("vehicle=bluerov2").vehicle))
 
 
 def normal(*shape: int, seed: int = 0) -> Tensor:

@@ -84,7 +84,7 @@ def run_job(composed: DictConfig) -> dict[str, Any]:
 def _run(composed: DictConfig, folder: Path, sweep: bool) -> dict[str, Any]:
     from uwirl.runs.algorithm import run
     from uwirl.runs.refusal import write_refusal
-    from uwirl.runs.saving import Origin
+    from uwirl.runs.saving import Origin, unfinished
     from uwirl.study import run_folder
     from uwirl.study.checkpoint import CheckpointError
 
@@ -104,9 +104,12 @@ def _run(composed: DictConfig, folder: Path, sweep: bool) -> dict[str, Any]:
         say("uwirl", error)
         run_folder.clear(folder)
         return write_refusal(folder, experiment, overrides, config, error)
-    if sweep and run_folder.is_complete(folder, config_hash):
-        log.info("skipped: complete, in %s", folder)
-        return run_folder.read_metrics(folder)
+    if sweep:
+        if run_folder.is_complete(folder, config_hash):
+            log.info("skipped: complete, in %s", folder)
+            return run_folder.read_metrics(folder)
+        left = unfinished(folder, config_hash)
+        config = replace(config, resume=None if left is None else str(left))
     if config.resume is None:
         if not sweep:
             run_folder.check_free(folder, config)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from uwirl.builders.own import make_own
-from uwirl.config.catalogue import field_types
-from uwirl.config.own_schema import OwnConfig
+from uwirl.config.own_schema import values as values_of
 from uwirl.config.schema import ChannelConfig, Config
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.world.absorption import Water
@@ -72,21 +70,16 @@ def _obstacles(config: Config) -> Obstacles:
 
 
 def make_channel(config: ChannelConfig) -> Channel:
-    values = _values(config) | {"water": Water(**asdict(config.water))}
+    values = values_of(config) | {"water": Water(**asdict(config.water))}
     channel: Channel = Channel(**values) if config.target is None else make_own(config, "channel", **values)
     return channel
 
 
 def _make_vehicle(config: Config) -> Dynamics:
-    values = _values(config.vehicle) | {"dtype": getattr(torch, config.dtype), "device": config.device}
+    values = values_of(config.vehicle) | {"dtype": getattr(torch, config.dtype), "device": config.device}
     own = config.vehicle.target is not None
     vehicle: Dynamics = make_own(config.vehicle, "vehicle", **values) if own else Vehicle(**values)
     return vehicle
-
-
-def _values(section: OwnConfig) -> dict[str, Any]:
-    """Of a section, what a class is made from besides its own settings."""
-    return {key: value for key, value in asdict(section).items() if key not in field_types(OwnConfig)}
 
 
 def make_relay(config: Config, streams: RandomStreams | None = None) -> Relay:

@@ -11,6 +11,8 @@ from pathlib import Path
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# Errors in metrics.json that begin so are no failures of the run.
+INTERRUPTED = "interrupted by "
 
 
 class Interrupted(BaseException):
@@ -21,7 +23,7 @@ class Interrupted(BaseException):
     """
 
     def __init__(self, number: int):
-        super().__init__(f"interrupted by {signal.Signals(number).name}")
+        super().__init__(f"{INTERRUPTED}{signal.Signals(number).name}")
         self.exit_code = 128 + number
 
     def told(self, last: Path) -> str:

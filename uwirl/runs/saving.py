@@ -11,8 +11,10 @@ import uwirl
 from uwirl.config.schema import Config
 from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.planner import IrlPlanner, LearnerState, LearningPlanner, Planner
+from uwirl.runs.interruption import INTERRUPTED
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study import checkpoint, run_folder
+from uwirl.study.checkpoint import CheckpointError
 from uwirl.study.learning_file import features_of, history_of, learner_of, load, restore, take_estimate, take_weights
 from uwirl.world.acoustics import Channel
 
@@ -65,6 +67,19 @@ class Origin:
         if self.content is None or "everything" not in self.parts:
             return None, []
         return restore(self.path, self.content)
+
+
+def unfinished(folder: Path, config_hash: str) -> Path | None:
+    """The checkpoint of a run with this hash that was killed or interrupted in a folder; None where none was."""
+    path = folder / "checkpoints" / "last.pt"
+    try:
+        ended = not str(run_folder.read_metrics(folder).get("error")).startswith(INTERRUPTED)
+    except (OSError, ValueError):
+        ended = False
+    try:
+        return path if not ended and load(path)["config_hash"] == config_hash else None
+    except CheckpointError:
+        return None
 
 
 class Checkpoints:
