@@ -13,7 +13,7 @@ from uwirl.config.validate import validate
 TYPOS = [
     # A key.
     (["channel.zeta=3"], "channel.zeta", "did you mean 'channel.zeta_dB'?"),
-    (["channel.zeta=3"], "channel.zeta", "(channel has target, settings, K_dB, n, N0_dB"),
+    (["channel.zeta=3"], "channel.zeta", "(channel has K_dB, n, N0_dB"),
     (["channel.k_db=3"], "channel.k_db", "did you mean 'channel.K_dB'?"),
     (["channel.K=3"], "channel.K", "did you mean 'channel.K_dB'?"),
     (["channel.bandwith_khz=3"], "channel.bandwith_khz", "did you mean 'channel.bandwidth_khz'?"),

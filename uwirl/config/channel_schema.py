@@ -20,7 +20,7 @@ class WaterConfig:
 
 
 @dataclass
-class ChannelConfig(OwnConfig):
+class ChannelParameters:
     K_dB: float = MISSING  # dB; the source level in dB re 1 uPa at 1 m, if N0_dB is the noise level in dB re 1 uPa
     n: float = MISSING  # path loss exponent: the SNR falls by 10 n dB per decade of distance
     N0_dB: float = MISSING  # dB; noise level
@@ -31,3 +31,8 @@ class ChannelConfig(OwnConfig):
     varphi_m: float = MISSING  # m; its correlation distance
     rho_dB: float = MISSING  # dB; standard deviation of multipath
     water: WaterConfig = field(default_factory=lambda: WaterConfig())  # what the absorption depends on
+
+
+@dataclass
+class ChannelConfig(OwnConfig, ChannelParameters):
+    pass

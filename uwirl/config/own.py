@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from uwirl.config.catalogue import field_types
-from uwirl.config.channel_schema import ChannelConfig
+from uwirl.config.channel_schema import ChannelParameters
 from uwirl.config.checks import ConfigError
 from uwirl.config.own_schema import OwnConfig
-from uwirl.config.schema import VehicleConfig
+from uwirl.config.schema import VehicleParameters
 from uwirl.config.suggestions import did_you_mean, first_line, listed, similar
 
 
@@ -39,16 +39,11 @@ class Family:
     calls: tuple[str, ...] = ()
 
 
-def _values(schema: type) -> tuple[str, ...]:
-    """Keys of a section besides those that name the class."""
-    return tuple(name for name in field_types(schema) if name not in field_types(OwnConfig))
-
-
 PLANNER = Family("uwirl.motion.planner.Planner")
 # By section.
 FAMILIES = {
-    "channel": Family("uwirl.world.acoustics.Channel", named=_values(ChannelConfig)),
-    "vehicle": Family("uwirl.world.vehicle.Dynamics", named=(*_values(VehicleConfig), "dtype", "device")),
+    "channel": Family("uwirl.world.acoustics.Channel", named=tuple(field_types(ChannelParameters))),
+    "vehicle": Family("uwirl.world.vehicle.Dynamics", named=(*field_types(VehicleParameters), "dtype", "device")),
     "estimator": Family("uwirl.snr.estimators.Estimator", calls=("readings", "known")),
     "basis": Family("uwirl.motion.features.MotionBasis", given=("cost",)),
     "planner": PLANNER,

@@ -68,7 +68,7 @@ class ScenarioConfig:
 
 
 @dataclass
-class VehicleConfig(OwnConfig):
+class VehicleParameters:
     mass_kg: float = MISSING  # kg
     yaw_inertia: float = MISSING  # kg m^2; about the vertical axis
     added_mass: list[float] = MISSING  # surge, sway, heave in kg, yaw in kg m^2
@@ -77,6 +77,11 @@ class VehicleConfig(OwnConfig):
     weight_N: float = MISSING  # N; in air
     buoyancy_N: float = MISSING  # N; of the displaced water
     tau_max: list[float] = MISSING  # N, N, N, N m; the most that thrusters give in surge, sway, heave, yaw
+
+
+@dataclass
+class VehicleConfig(OwnConfig, VehicleParameters):
+    pass
 
 
 @dataclass
