@@ -49,7 +49,7 @@ def swept(tmp_path_factory):
 
 
 def choose(cwd: Path, name: str) -> None:
-    (cwd / "mine" / "estimator" / "faulty.yaml").write_text(f"defaults: [schema]\nname: {name}\n")
+    (cwd / "mine" / "estimator" / "faulty.yaml").write_text(f"name: {name}\n")
 
 
 def test_one_failure_of_four_is_told(swept):

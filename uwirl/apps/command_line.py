@@ -8,7 +8,6 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,6 @@ from uwirl.config.compose import composed, folder, searching
 from uwirl.config.help import help_text
 from uwirl.config.suggestions import did_you_mean, similar
 from uwirl.config.sweeps import samples, space
-from uwirl.runs.interruption import Interrupted, Interruption
 
 BAD_CONFIGURATION = 2
 FAILED = 1
@@ -120,6 +118,11 @@ def one_message(program: str) -> Iterator[None]:
     Raises:
         SystemExit: BAD_CONFIGURATION where no folder can be made, FAILED, or that of a signal.
     """
+    # Imported here, and the like elsewhere, so that bad input is answered sooner.
+    from concurrent.futures import BrokenExecutor
+
+    from uwirl.runs.interruption import Interrupted, Interruption
+
     # Or Hydra prints a traceback, and exits with 1, before anyone is asked.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     try:

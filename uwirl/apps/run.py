@@ -8,21 +8,24 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from uwirl.apps.command_line import answer, launch
-from uwirl.apps.job import run_job
 from uwirl.config import compose
 from uwirl.config.schema import register
-from uwirl.config.validate import validate
 
 
 def main() -> None:
     """Entry point. Exits 2, with one message and no run folder, on a bad configuration; 1 if a run failed."""
     register()
     answer("uwirl", "config", _check)
+    # Imported here so that a typo is answered sooner.
+    from uwirl.apps.job import run_job
+
     launch("uwirl", "config", run_job)
 
 
 def _check(composed: DictConfig) -> None:
     """Refuse what cannot be run; a run that is resumed gets the command line that it began with."""
+    from uwirl.config.validate import validate
+
     config = compose.to_config(composed)
     validate(config)
     if config.resume is None and config.init_from is None:

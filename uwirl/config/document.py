@@ -103,16 +103,16 @@ def _group(loader: ConfigLoader, group: str, default: str, defaults: Mapping[str
 
 
 def _schema(loader: ConfigLoader, group: str, option: str) -> type:
-    """The dataclass that an option's defaults list names, perhaps by way of another option."""
+    """The dataclass that an option's defaults list names, perhaps by way of another option, or else the group's."""
     file = load(loader, f"{group}/{option}")
     assert file is not None
-    for entry in map(str, file.defaults):
+    for entry in map(str, file.get("defaults", [])):
         name = entry.partition("@")[0].rpartition("/")[2]
         if is_schema(name):
             return OmegaConf.get_type(ConfigStore.instance().load(f"{group}/{name}.yaml").node)  # type: ignore[return-value]
         if name != "_self_":
             return _schema(loader, group, name)
-    raise LookupError(f"conf/{group}/{option}.yaml names no schema")
+    return field_types(Config)[group]
 
 
 def _plain(config: DictConfig | None) -> Mapping[str, Any]:

@@ -124,11 +124,11 @@ def check_overrides(words: Sequence[str], loader: ConfigLoader, defaults: Mappin
 def _check_choice(override: Override, loader: ConfigLoader, defaults: Mapping[str, str]) -> None:
     group = override.key_or_group
     key = f"{group}@{override.package}" if override.package else group
-    there = options(loader, group)
     if key not in defaults and not (override.is_add() and override.package is None and group not in _known(defaults)):
         near = [known for known in defaults if known.partition("@")[0] == group] or similar(key, defaults)
         raise ConfigError(key, f"is no group to choose from here{did_you_mean(near)} (there are {listed(defaults)})")
     if override.is_delete():
+        there = options(loader, group)
         instead = f"{key}=none" if "none" in there else f"one of {key}={listed(there)}"
         raise ConfigError(key, f"cannot be left out; choose {instead}")
     value: Any = override.value()
@@ -138,6 +138,7 @@ def _check_choice(override: Override, loader: ConfigLoader, defaults: Mapping[st
         raise ConfigError(key, f"takes one option, got the list {(override.input_line or '').partition('=')[2]}")
     if isinstance(value, str) and not is_schema(value) and load(loader, f"{group}/{value}") is not None:
         return
+    there = options(loader, group)
     near = [f"{key}={name}" for name in similar(str(value), there)]
     raise ConfigError(key, f"{'null' if value is None else repr(value)} is none of {listed(there)}{did_you_mean(near)}")
 

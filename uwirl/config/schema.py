@@ -209,18 +209,18 @@ class Config:
 
 
 def register() -> None:
-    """Make the schemas known to Hydra; YAML files name them in their defaults lists."""
+    """Make the schemas known to Hydra.
+
+    A file of a group names its schema in its defaults list where it has keys that `Config` does not give the group.
+    """
     store = ConfigStore.instance()
     store.store(name="schema", node=Config)
     groups: dict[str, dict[str, type]] = {
-        "scenario": {"schema": ScenarioConfig},
-        "channel": {"schema": ChannelConfig},
-        "vehicle": {"schema": VehicleConfig},
-        "estimator": {"schema": EstimatorConfig, "own_schema": OwnEstimatorConfig},
-        "basis": {"schema": BasisConfig, "link_frame_schema": LinkFrameBasisConfig, "own_schema": OwnBasisConfig},
-        "cost": {"schema": CostConfig, "printed_schema": PrintedCostConfig},
-        "guidance": {"schema": GuidanceConfig, "geodesic_schema": GeodesicConfig},
-        "safety": {"schema": SafetyConfig, "energy_schema": EnergyGuardConfig, "barrier_schema": BarrierGuardConfig},
+        "estimator": {"own_schema": OwnEstimatorConfig},
+        "basis": {"link_frame_schema": LinkFrameBasisConfig, "own_schema": OwnBasisConfig},
+        "cost": {"printed_schema": PrintedCostConfig},
+        "guidance": {"geodesic_schema": GeodesicConfig},
+        "safety": {"energy_schema": EnergyGuardConfig, "barrier_schema": BarrierGuardConfig},
         "solver": {"least_squares_schema": LeastSquaresSolverConfig, "rls_schema": RlsSolverConfig},
         "experience": {"virtual_links_schema": VirtualLinksConfig, "parallel_schema": ParallelConfig},
         "planner": {
@@ -230,7 +230,6 @@ def register() -> None:
             "trajectory_optimization_schema": TrajectoryOptimizationConfig,
             "own_schema": OwnPlannerConfig,
         },
-        "logging": {"schema": LoggingConfig},
         "hydra/sweeper": {"search_schema": SearchConfig},
     }
     for group, schemas in groups.items():
