@@ -14,8 +14,9 @@ demo: .venv/.installed
 	$(BIN)/uwirl
 
 # On this machine alone, while runs go on.
+LOGDIR ?= outputs
 monitor: .venv/.installed
-	$(BIN)/tensorboard --logdir outputs --host localhost
+	$(BIN)/tensorboard --logdir $(LOGDIR) --host localhost
 
 test: .venv/.installed
 	$(BIN)/python -m pytest -m 'not slow'

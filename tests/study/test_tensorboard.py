@@ -73,7 +73,9 @@ def test_settings_stand_beside_results_in_the_same_run(events: EventAccumulator)
     assert start["seed"].number_value == 7.0
     assert start["channel.zeta_dB"].number_value == 3.0
     assert start["planner"].string_value == "pd"
-    assert set(start) == {"channel.zeta_dB", "planner", "experiment", "seed"}
+    assert start["ablation"].string_value == "none"
+    assert start["overrides"].string_value == "channel.zeta_dB=3.0 planner=pd"
+    assert set(start) == {"channel.zeta_dB", "planner", "experiment", "ablation", "seed", "overrides"}
     experiment = HParamsPluginData.FromString(
         events.SummaryMetadata("_hparams_/experiment").plugin_data.content
     ).experiment

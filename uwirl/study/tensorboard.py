@@ -130,8 +130,14 @@ class TensorBoard:
             metrics: of which COMPARED are shown.
         """
         pairs = (override.lstrip("+~").partition("=")[::2] for override in overrides)
-        settings = {key: _number_or_text(value) for key, value in pairs if not key.startswith(("logging", "hydra"))}
-        settings |= {"experiment": experiment, "seed": seed}
+        asked = {key: value for key, value in pairs if not key.startswith(("logging", "hydra"))}
+        settings: dict[str, Any] = {key: _number_or_text(value) for key, value in asked.items()}
+        # TensorBoard takes the columns of all runs from the first that it finds; these are in each.
+        others = sorted(
+            f"{key}={value}" for key, value in asked.items() if key not in ("experiment", "ablation", "seed")
+        )
+        settings |= {"experiment": experiment, "ablation": asked.get("ablation", "none"), "seed": seed}
+        settings["overrides"] = " ".join(others)
         results = {name: metrics[name] for name in COMPARED if isinstance(metrics.get(name), (int, float))}
         for summary in hparams(settings, {f"result/{name}": value for name, value in results.items()}):
             self.writer._get_file_writer().add_summary(summary)
