@@ -14,7 +14,7 @@ from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import OmegaConf
 
 from hydra_plugins.uwirl_search import Trials
-from uwirl.apps import run
+from uwirl.apps import job, run
 
 QUICK = ("planner=pd", "experiment=fig5_free", "logging.figures=false", "logging.tensorboard=false")
 MINE = ("-m", "--config-dir", "mine", "hydra/sweeper=mine", *QUICK)
@@ -28,12 +28,12 @@ class Launcher:
         self.launched: list[tuple[int, list[str]]] = []
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> list[JobReturn]:
-        self.launched += [(initial_job_idx + i, list(job)) for i, job in enumerate(job_overrides)]
+        self.launched += [(initial_job_idx + i, list(words)) for i, words in enumerate(job_overrides)]
         returns = []
-        for job in job_overrides:
-            value = self.flown(job)
+        for words in job_overrides:
+            value = self.flown(words)
             status = JobStatus.FAILED if isinstance(value, Exception) else JobStatus.COMPLETED
-            returns.append(JobReturn(overrides=list(job), status=status, _return_value=value))
+            returns.append(JobReturn(overrides=list(words), status=status, _return_value=value))
         return returns
 
 
@@ -129,7 +129,7 @@ def test_a_job_that_raises_is_told(tmp_path: Path, call: Callable[..., None], mo
             raise RuntimeError("a bug")
         return {"status": "complete", "cost_total": 1.0}
 
-    monkeypatch.setattr(run, "run_job", run_job)
+    monkeypatch.setattr(job, "run_job", run_job)
     with pytest.raises(SystemExit) as caught:
         call(run.main, *MINE, "hydra.sweep.dir=search")
     assert caught.value.code == 1

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from uwirl.study import collection_figure
-from uwirl.study.collection import Collection, Interval, Job, collect, interval
+from uwirl.study.collection import Collection, Interval, Job, collect, interval, rounded
 from uwirl.study.collection_report import MOST_SKIPPED, csv_table, markdown
 
 
@@ -261,3 +261,31 @@ def test_a_figure_that_cannot_be_written_leaves_the_one_before(add, tmp_path, mo
     with pytest.raises(OSError, match=r"No space left on device: '.*boxes\.png'$"):
         collection_figure.draw(collect(tmp_path), path.parent)
     assert [file.read_bytes() for file in path.parent.iterdir()] == ([present] if present else [])
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("2.2898514604770375", "2.29"),
+        ("0.0005627932047415167", "0.0005628"),
+        ("0.5", "0.5"),
+        ("12345678", "12345678"),
+        ("pd", "pd"),
+        ("[2.0,.inf]", "[2.0,.inf]"),
+        ("v1.2.34567", "v1.2.34567"),
+    ],
+)
+def test_numbers_of_many_decimals_are_told_to_four_digits(value, told):
+    assert rounded(value) == told
+
+
+@pytest.mark.parametrize(
+    ("other", "rows"), [("0.7000001", ["a.b=0.7", "a.b=0.7000001"]), ("0.71", ["a.b=0.7", "a.b=0.71"])]
+)
+def test_groups_that_differ_little_stay_apart(add, tmp_path, monkeypatch, other, rows):
+    for value, cost in (("0.7", 1.0), (other, 2.0)):
+        add(f"a.b={value}", cost_total=cost)
+    drawn = []
+    monkeypatch.setattr(collection_figure, "write_figure", lambda path, figure: drawn.append(figure))
+    collection_figure.draw(collect(tmp_path), tmp_path)
+    assert [label.get_text() for label in drawn[0].axes[0].get_yticklabels()] == rows

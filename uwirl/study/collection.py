@@ -42,6 +42,15 @@ def as_number(value: Any) -> float | None:
     return float(value) if isinstance(value, int | float) and abs(value) < MOST else None
 
 
+def rounded(value: str) -> str:
+    """A number of many decimals, as searches draw them, to four digits; anything else as it is."""
+    try:
+        text = f"{float(value):.4g}" if "." in value else value
+    except ValueError:
+        return value
+    return min(value, text, key=len)
+
+
 @dataclass(frozen=True)
 class Job:
     """A run that ended.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -11,12 +12,16 @@ matplotlib.use("Agg")
 
 from matplotlib.figure import Figure
 
-from uwirl.study.collection import MAIN, Collection, Job, as_number, numbers
+from uwirl.study.collection import MAIN, Collection, Job, as_number, numbers, rounded
 from uwirl.study.whole_files import write_figure
 
 COLUMNS = 3
 # Far more than can be told apart; as many as 10,000 would take minutes, and more pixels than an image may have.
 MOST_GROUPS = 200
+# Of which a legend names no more.
+MOST_NAMED = 24
+# Of a line of a group's overrides, in characters.
+WIDTH = 48
 
 
 def draw(collection: Collection, folder: Path) -> list[Path]:
@@ -26,7 +31,8 @@ def draw(collection: Collection, folder: Path) -> list[Path]:
         collection: what to show.
         folder: made when missing.
     """
-    groups = {_label(collection, key): group for key, group in collection.groups().items() if group}
+    found = {key: group for key, group in collection.groups().items() if group}
+    groups = dict(zip(_labels(collection, list(found)), found.values(), strict=True))
     jobs = [job for group in groups.values() for job in group]
     figures = {}
     metrics = [metric for metric in MAIN if _spread(jobs, metric)]
@@ -49,7 +55,9 @@ def boxes_figure(groups: Mapping[str, Sequence[Job]], metrics: Sequence[str]) ->
     """A panel for each metric, in it a box and the points of each group."""
     columns = min(COLUMNS, len(metrics))
     rows = -(-len(metrics) // columns)
-    figure = Figure(figsize=(5.0 * columns, rows * (1.2 + 0.35 * len(groups))), layout="constrained")
+    lines = sum(1 + label.count("\n") for label in groups)
+    height = rows * (1.2 + 0.15 * len(groups) + 0.2 * lines)
+    figure = Figure(figsize=(5.0 * columns + 2.0, height), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True).flatten()
     places = range(1, len(groups) + 1)
     for axes, metric in zip(panels, metrics, strict=False):
@@ -57,7 +65,7 @@ def boxes_figure(groups: Mapping[str, Sequence[Job]], metrics: Sequence[str]) ->
         axes.boxplot(values, orientation="horizontal", positions=places, widths=0.6, showfliers=False)
         for place, value in zip(places, values, strict=True):
             axes.plot(value, [place] * len(value), ".", color="#0072B2", alpha=0.6)
-        axes.set_yticks(places, list(groups))
+        axes.set_yticks(places, list(groups), fontsize=9)
         axes.set(xlabel=metric)
         axes.locator_params(axis="x", nbins=5)
         axes.ticklabel_format(axis="x", useOffset=False)
@@ -86,11 +94,18 @@ def curves_figure(groups: Mapping[str, Sequence[Job]]) -> Figure:
             axes.plot(range(1, len(values) + 1), values, color=f"C{k % 10}", lw=1.0, label=None if j else label)
     axes.set(xlabel="policy iteration", ylabel="cost of the mission")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
+    if len(groups) <= MOST_NAMED:
+        figure.legend(fontsize=8, loc="outside right upper")
     return figure
 
 
+def _labels(collection: Collection, keys: Sequence[tuple[str, ...]]) -> list[str]:
+    """Overrides of each group, in lines; numbers rounded if that leaves all different."""
+    short = [tuple(map(rounded, key)) for key in keys]
+    return [_label(collection, key) for key in (short if len(set(short)) == len(keys) else keys)]
+
+
 def _label(collection: Collection, key: tuple[str, ...]) -> str:
-    told = zip(collection.varied, key, strict=True)
+    told = ", ".join(f"{name}={value}" for name, value in zip(collection.varied, key, strict=True) if value)
     # Matplotlib would read a formula between two dollar signs.
-    return ", ".join(f"{name}={value}" for name, value in told if value).replace("$", r"\$") or "all"
+    return textwrap.fill(told.replace("$", r"\$"), WIDTH, break_long_words=False, break_on_hyphens=False) or "all"

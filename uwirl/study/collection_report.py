@@ -8,7 +8,7 @@ import json
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from uwirl.study.collection import MAIN, Collection, Job, interval, numbers
+from uwirl.study.collection import MAIN, Collection, Job, interval, numbers, rounded
 
 # Of what is no run; a folder of something else would fill the page.
 MOST_SKIPPED = 20
@@ -72,7 +72,7 @@ def _groups(collection: Collection) -> Iterator[str]:
             found = interval(numbers(group, metric))
             few = f" ({found.n} of {len(group)})" if found and found.n < len(group) else ""
             cells.append(f"{found}{few}" if found else "-")
-        rows.append([*key, str(len(group)), *cells])
+        rows.append([*map(rounded, key), str(len(group)), *cells])
     yield from _table([*collection.varied, "n", *metrics], rows)
     yield ""
     yield "Mean ± half of its 95 % interval (Student's t) over the n seeds; (k of n) where only k have a number."
