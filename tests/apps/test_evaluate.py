@@ -190,6 +190,6 @@ def test_the_hash_tells_what_a_run_starts_from_but_not_where_that_lies(source, p
 
 
 def test_flags_come_before_all_overrides_or_hydra_reads_neither(source):
-    path, line = evaluate._checked(["seed=1,2", f"checkpoint={source}", "-m", "scenario.duration_s=3"])
+    path, line = evaluate._checked(["seed=1,2", f"checkpoint={source}", "scenario.duration_s=3", "-m"])
     assert path == source / "checkpoints" / "last.pt"
     assert line == ["-m", *SHORT[:2], *QUIET, "seed=1,2", "scenario.duration_s=3", evaluate.FOLDER]

@@ -17,12 +17,16 @@ import numpy as np
 import pytest
 import torch
 
+from uwirl.apps import continuation, evaluate
 from uwirl.apps.continuation import continued
 from uwirl.apps.run import main
+from uwirl.config.checks import ConfigError
 from uwirl.config.compose import compose
+from uwirl.config.compose import folder as conf
 from uwirl.config.validate import validate
 from uwirl.runs import algorithm, saving
 from uwirl.runs.interruption import Interrupted
+from uwirl.runs.refusal import write_refusal
 from uwirl.study import checkpoint
 from uwirl.study.checkpoint import CheckpointError
 
@@ -282,6 +286,45 @@ def test_defaults_that_changed_since_are_refused(whole, tmp_path):
     checkpoint.save(path, content)
     with pytest.raises(CheckpointError, match=r"defaults have changed since\): planner.updates = 5 there, 4 here$"):
         continued([f"resume={path}"], compose([f"resume={path}"]))
+
+
+def test_settings_that_are_no_longer_possible_leave_the_run_as_it_is(whole, tmp_path, call, monkeypatch, capsys):
+    def refuse(config):
+        raise ConfigError("planner.target", "no module 'mine'")
+
+    shutil.copytree(whole, tmp_path / "run")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    monkeypatch.setattr(continuation, "validate", refuse)
+    with pytest.raises(SystemExit) as ended:
+        call(main, f"resume={tmp_path}/run")
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == "uwirl: planner.target: no module 'mine'\n"
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_files_of_ones_own_are_found_again(tmp_path, call, whole):
+    (tmp_path / "mine" / "channel").mkdir(parents=True)
+    paper = (conf() / "channel" / "paper.yaml").read_text()
+    (tmp_path / "mine" / "channel" / "lake.yaml").write_text(paper.replace("zeta_dB: 0.07", "zeta_dB: 0.0"))
+    mine = ("--config-dir", str(tmp_path / "mine"))
+    call(main, *mine, *SHORT, "channel=lake", f"hydra.run.dir={tmp_path}/run")
+    shutil.copytree(tmp_path / "run", tmp_path / "whole")
+    call(main, *mine, f"resume={tmp_path}/run")
+    assert_same(tmp_path / "run", tmp_path / "whole")
+    call(evaluate.main, *mine, f"checkpoint={tmp_path}/run", f"hydra.run.dir={tmp_path}/again")
+    cost, again = (
+        json.loads((tmp_path / name / "metrics.json").read_text())["cost_total"] for name in ("run", "again")
+    )
+    assert cost == again
+
+
+def test_a_refused_job_keeps_what_was_found_before(whole, tmp_path):
+    shutil.copytree(whole, tmp_path / "job")
+    before = (whole / "metrics.json").read_bytes()
+    refused = write_refusal(tmp_path / "job", "fig5_free", [], None, ConfigError("seed", "no"))
+    assert refused["status"] == "failed"
+    assert (tmp_path / "job" / "metrics.json").read_bytes() == before
+    assert (tmp_path / "job" / "checkpoints" / "last.pt").exists()
 
 
 def test_a_checkpoint_without_a_run_folder_needs_one(whole, tmp_path):

@@ -10,27 +10,31 @@ from typing import Any
 from uwirl.config import compose
 from uwirl.config.overrides import FREE, key_of, quoted, section_of, without
 from uwirl.config.schema import Config
+from uwirl.config.validate import validate
 from uwirl.study import checkpoint, learning_file
 from uwirl.study.checkpoint import CheckpointError
 
 ABSENT = "absent"
 
 
-def continued(arguments: Sequence[str], config: Config) -> list[str]:
-    """The command line that continues a run in its own folder.
+def continued(arguments: Sequence[str], config: Config, config_dir: str | None = None) -> list[str]:
+    """The command line, without flags, that continues a run in its own folder.
 
     Args:
         arguments: the command line; but for those of FREE it says nothing, or the same as the run's.
         config: what it composes, with `resume`.
+        config_dir: a folder of the user's own files.
 
     Raises:
         CheckpointError: the checkpoint cannot be used, or the settings are not the run's; each difference is listed.
+        ConfigError: the run's settings are no longer possible.
     """
     path = checkpoint.locate(Path(config.resume or ""))
     content, path = learning_file.load(path), path.resolve()
     own = [argument for argument in arguments if section_of(argument) not in (*FREE, "hydra")]
-    here = asdict(config if own else compose.compose(content["overrides"]))
-    found = [f"{key} = {a} there, {b} here" for key, a, b in differences(content["config"], here)]
+    here = config if own else compose.compose(content["overrides"], config_dir)
+    validate(here)
+    found = [f"{key} = {a} there, {b} here" for key, a, b in differences(content["config"], asdict(here))]
     if found:
         why = "leave them out to continue it" if own else "the program's defaults have changed since"
         raise CheckpointError(f"resume: {path} was run with other settings ({why}): {'; '.join(found)}")

@@ -11,7 +11,7 @@ from typing import Any
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uwirl.apps.command_line import BAD_CONFIGURATION, launch, say
+from uwirl.apps.command_line import BAD_CONFIGURATION, launch, read_flags, say
 from uwirl.apps.job import in_folder
 from uwirl.config import compose
 from uwirl.config.overrides import key_of, without
@@ -59,12 +59,13 @@ def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
     Raises:
         CheckpointError, ConfigError: what is wrong.
     """
-    given = [argument for argument in arguments if argument.startswith("checkpoint=")]
-    flags = [argument for argument in arguments if argument.startswith("-")]
-    overrides = [argument for argument in arguments if argument not in given + flags]
-    if not given and flags:
+    flags = read_flags(arguments)
+    given = [word for word in flags.overrides if word.startswith("checkpoint=")]
+    overrides = [word for word in flags.overrides if word not in given]
+    words = [word for word in arguments if word not in flags.overrides]
+    if not given and words:
         # Only --help and the like make sense.
-        return Path(), [*flags, *overrides]
+        return Path(), list(arguments)
     if len(given) != 1 or given == ["checkpoint="]:
         raise ConfigError("checkpoint", "give one file or run folder, as in `uwirl-evaluate checkpoint=PATH`")
     # Imported here because they need torch.
@@ -79,10 +80,10 @@ def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
             raise ConfigError("planner", "is the one that learned the checkpoint's policy; fly others with `uwirl`")
     saved = [override for override in content["overrides"] if key_of(override) not in UNUSED]
     composing = [*without(saved, overrides), *overrides]
-    if not flags:
-        _validated(compose.compose(composing))
+    if not flags.multirun:
+        _validated(compose.compose(composing, flags.config_dir))
     folder = [] if "hydra.run.dir" in map(key_of, overrides) else [FOLDER]
-    return path.resolve(), [*flags, *composing, *folder]
+    return path.resolve(), [*words, *composing, *folder]
 
 
 def _validated(config: Config) -> Config:

@@ -102,7 +102,6 @@ def _run(composed: DictConfig, folder: Path, sweep: bool) -> dict[str, Any]:
     except (ConfigError, CheckpointError) as error:
         # One command line was checked before, so this is a job of a sweep.
         say("uwirl", error)
-        run_folder.clear(folder)
         return write_refusal(folder, experiment, overrides, config, error)
     if sweep:
         if run_folder.is_complete(folder, config_hash):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from uwirl.apps.command_line import answer, launch
+from uwirl.apps.command_line import answer, launch, read_flags
 from uwirl.config import compose
 from uwirl.config.schema import register
 
@@ -35,7 +35,9 @@ def _check(composed: DictConfig) -> None:
     from uwirl.study import checkpoint, learning_file
 
     if config.resume is not None:
-        sys.argv[1:] = continued(sys.argv[1:], config)
+        flags = read_flags(sys.argv[1:])
+        words = [word for word in sys.argv[1:] if word not in flags.overrides]
+        sys.argv[1:] = [*words, *continued(flags.overrides, config, flags.config_dir)]
     else:
         learning_file.load(checkpoint.locate(Path(config.init_from or "")))
 

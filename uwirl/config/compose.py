@@ -37,14 +37,18 @@ def folder() -> Path:
     return packaged if packaged.is_dir() else package.parent / "conf"
 
 
-def compose(overrides: Sequence[str] = ()) -> Config:
+def compose(overrides: Sequence[str] = (), config_dir: str | None = None) -> Config:
     """The configuration that a command line with these overrides would give, not yet validated.
+
+    Args:
+        overrides: as on the command line.
+        config_dir: a folder of the user's own files, as after --config-dir.
 
     Raises:
         ConfigError: unknown keys, groups, options or types, or an ablation that is undone.
     """
     register()
-    return to_config(composed("config", overrides))
+    return to_config(composed("config", overrides, config_dir))
 
 
 def composed(name: str, overrides: Sequence[str], config_dir: str | None = None, ablation: bool = True) -> DictConfig:

@@ -94,6 +94,15 @@ def is_complete(folder: Path, config_hash: str) -> bool:
     return metrics["status"] == "complete" and metrics.get("config_hash") == config_hash
 
 
+def has_results(folder: Path) -> bool:
+    """Whether a folder holds what a run has found, be it complete or not."""
+    try:
+        complete = read_metrics(folder)["status"] == "complete"
+    except (OSError, ValueError):
+        complete = False
+    return complete or any((folder / name).exists() for name in RESULTS if name != "metrics.json")
+
+
 def _relevant(settings: Mapping[Any, Any]) -> dict[str, Any]:
     """Those that change the result; equal numbers count as equal."""
     return {str(key): value for key, value in settings.items() if key not in FREE}
