@@ -6,6 +6,7 @@ Of the optuna sweeper nothing is imported before a search begins: Hydra reads th
 from __future__ import annotations
 
 import logging
+import math
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -45,9 +46,12 @@ class Search(Sweeper):
         """Search; ends with exit code 1 where no trial succeeded, for then none is the best."""
         try:
             self.optuna.sweep(arguments)
-        except ValueError:
+        except ValueError as error:
             if self.trials.succeeded:
                 raise
+            if not self.trials.launched:
+                # A space that optuna cannot draw from.
+                sys.exit(f"uwirl: hydra.sweeper: {error}")
             sys.exit("uwirl: hydra/sweeper: no trial has a J (cost_total) with every seed, so none is the best")
 
 
@@ -62,7 +66,7 @@ class Trials:
     def __init__(self, launcher: Launcher, seeds: Sequence[int]):
         self.launcher = launcher
         self.seeds = seeds
-        self.succeeded = 0
+        self.launched = self.succeeded = 0
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> list[JobReturn]:
         """One return for each trial, None where a seed failed: a mean over the others would praise what fails."""
@@ -71,7 +75,8 @@ class Trials:
         returns = self.launcher.launch(jobs, initial_job_idx=n * initial_job_idx)
         values = [value_of(job) for job in returns]
         means = [mean(values[i : i + n]) for i in range(0, len(values), n)]
-        self.succeeded += sum(value is not None for value in means)
+        self.launched += len(means)
+        self.succeeded += sum(value is not None and math.isfinite(value) for value in means)
         return [
             JobReturn(overrides=list(trial), status=JobStatus.COMPLETED, _return_value=value)
             for trial, value in zip(job_overrides, means, strict=True)

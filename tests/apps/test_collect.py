@@ -100,7 +100,7 @@ def test_results_that_cannot_be_written(run, tmp_path, capsys):
     assert run(str(tmp_path)) == 1
     out, err = capsys.readouterr()
     assert "1 complete" in out
-    assert err == f"uwirl-collect: {tmp_path / 'results.csv.tmp'}: cannot be written: {os.strerror(21)}\n"
+    assert err == f"uwirl-collect: {tmp_path / 'results.csv'}: cannot be written: {os.strerror(21)}\n"
     assert not (tmp_path / "results.csv").exists()
 
 

@@ -14,7 +14,7 @@ from uwirl.apps import evaluate
 from uwirl.config.compose import compose
 from uwirl.config.validate import ConfigError, validate
 from uwirl.runs import algorithm, evaluation
-from uwirl.study import checkpoint, shadowing
+from uwirl.study import checkpoint, learning_file, shadowing
 from uwirl.study.checkpoint import CheckpointError
 
 QUIET = ("logging.figures=false", "logging.tensorboard=false", "logging.animation=false", "logging.progress=false")
@@ -193,3 +193,29 @@ def test_flags_come_before_all_overrides_or_hydra_reads_neither(source):
     path, line = evaluate._checked(["seed=1,2", f"checkpoint={source}", "scenario.duration_s=3", "-m"])
     assert path == source / "checkpoints" / "last.pt"
     assert line == ["-m", *SHORT[:2], *QUIET, "seed=1,2", "scenario.duration_s=3", evaluate.FOLDER]
+
+
+def test_a_sweeps_names_are_checked_first(source):
+    with pytest.raises(ConfigError, match=r"sed: no such key.*did you mean 'seed'"):
+        evaluate._checked(["-m", f"checkpoint={source}", "sed=1,2"])
+
+
+def test_another_class_takes_its_settings_along(source, monkeypatch):
+    saved = ["vehicle.target=mine.Worn", "+vehicle.settings.dead_zone=2", "seed=1"]
+    loaded = learning_file.load(source / "checkpoints" / "last.pt")
+    monkeypatch.setattr(learning_file, "load", lambda path: loaded | {"overrides": saved})
+    _, line = evaluate._checked([f"checkpoint='{source}'", "vehicle.target=null"])
+    assert line == ["seed=1", "vehicle.target=null", evaluate.FOLDER]
+
+
+@pytest.mark.parametrize("arguments", [[], ["--config-dir", "."], ["seed=1"]])
+def test_a_checkpoint_is_asked_for(arguments):
+    with pytest.raises(ConfigError, match="checkpoint: give one file or run folder"):
+        evaluate._checked(arguments)
+
+
+def test_help_is_its_own(capsys):
+    with pytest.raises(SystemExit) as ended:
+        evaluate._checked(["--help"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.startswith("uwirl-evaluate: fly what was learned")

@@ -302,6 +302,22 @@ def test_settings_that_are_no_longer_possible_leave_the_run_as_it_is(whole, tmp_
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
+def test_a_resumed_run_leaves_another_ones_folder(whole, tmp_path, call, capsys):
+    shutil.copytree(whole, tmp_path / "run")
+    call(main, "planner=pd", SHORT[0], *SHORT[2:], f"hydra.run.dir={tmp_path}/other")
+    before = (tmp_path / "other" / "metrics.json").read_bytes()
+    with pytest.raises(SystemExit) as ended:
+        call(main, f"resume={tmp_path}/run", f"hydra.run.dir={tmp_path}/other")
+    assert ended.value.code == 2
+    assert "holds another run, and is left as it is" in capsys.readouterr().err
+    assert (tmp_path / "other" / "metrics.json").read_bytes() == before
+
+
+def test_hydras_own_groups_are_no_settings_of_the_run(whole):
+    arguments = [f"resume={whole}", "hydra/job_logging=default"]
+    assert "hydra/job_logging=default" in continued(arguments, compose(arguments))
+
+
 def test_files_of_ones_own_are_found_again(tmp_path, call, whole):
     (tmp_path / "mine" / "channel").mkdir(parents=True)
     paper = (conf() / "channel" / "paper.yaml").read_text()

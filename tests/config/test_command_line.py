@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from uwirl.apps.command_line import read_flags
+from uwirl.apps.command_line import note_failure, read_flags
 from uwirl.config.checks import ConfigError
 from uwirl.config.compose import searching
 from uwirl.config.estimate_schema import register
@@ -143,3 +143,11 @@ def test_samples_are_the_jobs_that_differ_in_kind():
         ]
         assert list(samples(["channel.n=interval(1,5)"], loader)) == [["channel.n=1.0"], ["channel.n=5.0"]]
         assert len(list(samples(["channel=glob(*)"], loader))) >= 2
+
+
+def test_a_failure_is_noted_where_the_folder_is(tmp_path):
+    note = note_failure(tmp_path)
+    assert note is not None
+    assert list(tmp_path.iterdir()) == [note]
+    # On another machine of a cluster it is not.
+    assert note_failure(tmp_path / "elsewhere") is None

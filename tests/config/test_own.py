@@ -17,6 +17,9 @@ from uwirl.config.validate import validate
 from uwirl.study.run_folder import config_hash
 
 MODULE = """
+from uwirl.motion.planner import Planner
+from uwirl.world.vehicle import Vehicle
+
 class Whole:
     def __init__(self, gain=1.0):
         self.gain = gain
@@ -26,6 +29,12 @@ class Whole:
 class Anything(Whole):
     def __init__(self, **settings):
         super().__init__()
+
+class Ours(Vehicle):
+    def __init__(self, dead_zone=0.0, **parameters):
+        super().__init__(**parameters)
+
+class Stub(Planner): ...
 
 class Needy(Whole):
     def __init__(self, gain):
@@ -67,6 +76,7 @@ REFUSED = [
     (f"{PLANNER}number", "planner.target", "mine.number is no class"),
     (f"{PLANNER}function", "planner.target", "mine.function is no class"),
     (f"{PLANNER}Nothing", "planner.target", "is no uwirl.motion.planner.Planner: it has no fit(env, estimate)"),
+    (f"{PLANNER}Stub", "planner.target", "is no uwirl.motion.planner.Planner: it has no fit(env, estimate)"),
     (f"{PLANNER}Attribute", "planner.target", "it has no fit(env, estimate)"),
     (f"{PLANNER}Short", "planner.target", "fit(env, estimate) cannot be called so: too many positional arguments"),
     (f"{PLANNER}Needy", "planner.settings", "missing a required argument: 'gain'"),
@@ -85,11 +95,18 @@ REFUSED = [
     ("vehicle.target=mine.Half", "vehicle.target", "step(state, tau, dt, current, out) cannot be called so"),
     ("vehicle.target=mine.Nothing", "vehicle.target", "is no uwirl.world.vehicle.Dynamics: it has no saturate(tau)"),
     ("+vehicle.settings.gain=2", "vehicle.settings", "are those of vehicle.target, which names no class"),
+    (
+        "vehicle.target=mine.Ours +vehicle.settings.ded_zone=2",
+        "vehicle.settings.ded_zone",
+        "settings.dead_zone'?",
+    ),
+    ("estimator=own estimator.target=builtins.iter", "estimator.target", "builtins.iter does not tell what it takes"),
+    ("planner=own planner.target=leaving.X", "planner.target", "leaving cannot be imported: SystemExit: 0"),
     ("channel.target=mine.Nothing", "channel.target", "is no uwirl.world.acoustics.Channel: it must be a subclass"),
     (
         "vehicle.target=uwirl.world.vehicle.Vehicle +vehicle.settings.mass_kg=2",
         "vehicle.settings.mass_kg",
-        "takes no settings",
+        "is no setting of the class alone; set mass_kg outside settings",
     ),
     (
         "planner=trajectory_optimization vehicle.target=uwirl.world.vehicle.Vehicle",
@@ -111,6 +128,7 @@ ACCEPTED = [
     f"{ESTIMATOR}Callable",
     f"{ESTIMATOR}function +estimator.settings.n=1.5",
     "vehicle.target=uwirl.world.vehicle.Vehicle",
+    "vehicle.target=mine.Ours +vehicle.settings.dead_zone=2",
     "channel.target=uwirl.world.acoustics.Channel",
 ]
 
@@ -119,6 +137,7 @@ ACCEPTED = [
 def modules(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(MODULE)
     (tmp_path / "broken.py").write_text("1 / 0")
+    (tmp_path / "leaving.py").write_text("import sys; sys.exit(0)")
     (tmp_path / "lacking.py").write_text("import something_else")
     monkeypatch.setattr(sys, "path", sys.path.copy())
     monkeypatch.chdir(tmp_path)

@@ -44,6 +44,13 @@ def test_configuration_with_code_in_it_is_anothers_and_does_not_run(make_config,
     assert not (tmp_path / "made").exists()
 
 
+def test_a_run_without_settings_is_anothers(make_config, tmp_path):
+    """An experiment's script leaves such."""
+    run_folder.write_metrics(tmp_path, {"status": "complete"})
+    with pytest.raises(run_folder.FolderError, match="holds another run"):
+        run_folder.check_free(tmp_path, make_config())
+
+
 def test_own_is_what_says_so(tmp_path):
     run_folder.check_own(tmp_path, "mine")
     write(tmp_path, '{"status": "failed", "config_hash": "mine"}')

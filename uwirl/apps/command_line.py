@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import hydra
 from hydra._internal.utils import get_args_parser
@@ -45,20 +45,11 @@ def answer(program: str, name: str, check: Callable[[DictConfig], None]) -> None
     try:
         flags = read_flags(sys.argv[1:])
         if flags.help:
-            with searching(flags.config_dir) as loader:
-                code = tell(program, help_text(program, name, loader))
-            sys.exit(code)
-        # What shows, or runs, something else than this configuration is Hydra's affair.
-        others = (flags.hydra_help, flags.shell_completion, flags.experimental_rerun, flags.info)
-        if any(others) or flags.config_path or flags.config_name:
+            give_help(program, name, flags)
+        if is_hydras_affair(flags):
             return
-        if flags.multirun or any(word.startswith("hydra.mode=") for word in flags.overrides):
-            # Names and types are those of every job; a job that breaks a rule fails alone.
-            words = [*space(name, flags.overrides, flags.config_dir), *flags.overrides]
-            with searching(flags.config_dir) as loader:
-                jobs = list(samples(words, loader))
-            for job in jobs:
-                composed(name, job, flags.config_dir, ablation=False)
+        if is_sweep(flags):
+            check_jobs(name, flags.overrides, flags.config_dir)
             return
         config = composed(name, flags.overrides, flags.config_dir)
         if not flags.cfg:
@@ -68,6 +59,37 @@ def answer(program: str, name: str, check: Callable[[DictConfig], None]) -> None
         sys.exit(BAD_CONFIGURATION)
     finally:
         gc.enable()
+
+
+def give_help(program: str, name: str, flags: argparse.Namespace) -> NoReturn:
+    """Print what --help prints, and exit."""
+    with searching(flags.config_dir) as loader:
+        code = tell(program, help_text(program, name, loader))
+    sys.exit(code)
+
+
+def is_hydras_affair(flags: argparse.Namespace) -> bool:
+    """Whether something else than this configuration is shown or run."""
+    others = (flags.hydra_help, flags.shell_completion, flags.experimental_rerun, flags.info)
+    return any(others) or bool(flags.config_path or flags.config_name)
+
+
+def is_sweep(flags: argparse.Namespace) -> bool:
+    """Whether several jobs are asked for."""
+    return flags.multirun or any(word.startswith("hydra.mode=") for word in flags.overrides)
+
+
+def check_jobs(name: str, overrides: Sequence[str], config_dir: str | None) -> None:
+    """Refuse names and types, which are those of every job of a sweep; a job that breaks a rule fails alone.
+
+    Raises:
+        ConfigError: the first of them.
+    """
+    words = [*space(name, overrides, config_dir), *overrides]
+    with searching(config_dir) as loader:
+        jobs = list(samples(words, loader))
+    for job in jobs:
+        composed(name, job, config_dir, ablation=False)
 
 
 def read_flags(arguments: Sequence[str]) -> argparse.Namespace:
@@ -143,6 +165,9 @@ def one_message(program: str) -> Iterator[None]:
         cause = error if isinstance(error, OSError) else error.__cause__
         if not isinstance(cause, OSError):
             raise
+        if cause.filename is None:
+            say(program, cause)
+            sys.exit(FAILED)
         say(program, f"{cause.filename}: cannot be written ({cause.strerror}); choose another place: {PLACES}")
         sys.exit(BAD_CONFIGURATION)
 
@@ -167,7 +192,8 @@ def launch(program: str, name: str, job: Callable[[DictConfig], dict[str, Any]])
             metrics = job(composed)
             if metrics["status"] != "complete":
                 return None
-            note.unlink()
+            if note:
+                note.unlink()
             return metrics.get("cost_total")
 
         task()
@@ -186,7 +212,10 @@ def failed_jobs() -> Iterator[Path]:
         yield Path(folder)
 
 
-def note_failure(folder: Path) -> Path:
-    """Another file in the folder of failed jobs, named as none before."""
-    with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
-        return Path(file.name)
+def note_failure(folder: Path) -> Path | None:
+    """Another file in the folder of failed jobs, named as none before; None on another machine, which has no such."""
+    try:
+        with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
+            return Path(file.name)
+    except OSError:
+        return None

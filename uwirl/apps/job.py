@@ -109,8 +109,9 @@ def _run(composed: DictConfig, folder: Path, sweep: bool) -> dict[str, Any]:
             return run_folder.read_metrics(folder)
         left = unfinished(folder, config_hash)
         config = replace(config, resume=None if left is None else str(left))
+    home = config.resume is not None and Path(config.resume).resolve().parent.parent == folder.resolve()
+    if not sweep and not home:
+        run_folder.check_free(folder, config)
     if config.resume is None:
-        if not sweep:
-            run_folder.check_free(folder, config)
         run_folder.clear(folder)
     return run(config, experiment, folder, overrides)

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from uwirl.config.checks import ConfigError
-from uwirl.config.own import FAMILIES, found, properties
+from uwirl.config.own import FAMILIES, found, lacking
 from uwirl.config.own_schema import OwnConfig
 
 
@@ -26,7 +26,7 @@ def make_own(config: OwnConfig, key: str, *given: Any, **named: Any) -> Any:
     if not isinstance(target, type):
         return partial(target, **config.settings)
     made = target(*given, **named, **config.settings)
-    lacking = [name for name in properties(FAMILIES[key].protocol) if not hasattr(made, name)]
-    if lacking:
-        raise ConfigError(f"{key}.target", f"{path} is no {FAMILIES[key].protocol}: it has no {', '.join(lacking)}")
+    missing = lacking(made, FAMILIES[key].protocol)
+    if missing:
+        raise ConfigError(f"{key}.target", f"{path} is no {FAMILIES[key].protocol}: it has no {', '.join(missing)}")
     return made

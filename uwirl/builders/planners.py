@@ -32,7 +32,7 @@ def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
     """A planner with these settings; it learns one set of weights for each world of `env`."""
 
     if isinstance(planner, OwnPlannerConfig):
-        own: Planner = make_own(planner, "planner")
+        own: Planner = make_own(planner, "baseline" if planner is config.baseline else "planner")
         return own
 
     def cost(channel: Channel, targets: ChainTargets) -> RelayCost:

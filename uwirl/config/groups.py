@@ -14,6 +14,7 @@ from yaml import YAMLError
 
 from uwirl.config.catalogue import is_schema
 from uwirl.config.checks import ConfigError
+from uwirl.config.overrides import section_of
 from uwirl.config.suggestions import did_you_mean, listed, similar
 
 
@@ -79,11 +80,6 @@ def parsed(override: str) -> Override:
         raise ConfigError(key or override, f"{value or override!r} cannot be read ({reason}); {rule}") from None
 
 
-def is_hydras(key: str) -> bool:
-    """Whether a key or group is one of Hydra's own."""
-    return key.partition(".")[0].partition("/")[0] == "hydra"
-
-
 def check_overrides(words: Sequence[str], loader: ConfigLoader, defaults: Mapping[str, str]) -> None:
     """Refuse what cannot be read, groups and options that are not there, and deletions.
 
@@ -103,7 +99,7 @@ def check_overrides(words: Sequence[str], loader: ConfigLoader, defaults: Mappin
     packages = {group.partition("@")[2]: group for group in defaults if "@" in group}
     for override in overrides:
         key = override.key_or_group
-        if is_hydras(key):
+        if section_of(key) == "hydra":
             continue
         if override.is_sweep_override():
             line = f"{(override.input_line or '').partition('=')[2]} is a sweep over several values"

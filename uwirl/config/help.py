@@ -29,10 +29,12 @@ docs/configuration.md lists every key with its unit.
 """
 PURPOSE = {
     "uwirl": "estimate the fading channel, plan where to relay, and fly there",
+    "uwirl-evaluate": "fly what was learned, without learning; checkpoint=PATH says what, overrides say where",
     "uwirl-estimate": "the channel behind a log of SNR readings, how far to trust it, and a map",
 }
 EXAMPLE = {
     "uwirl": "uwirl channel=acoustic_24khz scenario.start=[[5,5,-6,0]] seed=3",
+    "uwirl-evaluate": "uwirl-evaluate checkpoint=outputs/fig5_single/DATE vehicle=bluerov2_heavy",
     "uwirl-estimate": "uwirl-estimate data=readings.csv channel.frequency_khz=12",
 }
 

@@ -15,8 +15,8 @@ def key_of(override: str) -> str:
 
 
 def section_of(override: str) -> str:
-    """`planner` of planner.x=1."""
-    return key_of(override).split(".")[0]
+    """`planner` of planner.x=1, `hydra` of hydra/launcher=joblib."""
+    return key_of(override).split(".")[0].split("/")[0]
 
 
 def effective(overrides: Iterable[str]) -> list[str]:
@@ -33,3 +33,8 @@ def without(overrides: Iterable[str], others: Sequence[str]) -> list[str]:
 def quoted(path: Path) -> str:
     """A path as Hydra reads it whatever is in it, like the = and , of a sweep's folders."""
     return "'" + str(path).replace("\\", "\\\\").replace("'", "\\'") + "'"
+
+
+def unquoted(text: str) -> str:
+    """A path that may have been quoted for Hydra."""
+    return text[1:-1] if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"" else text

@@ -97,7 +97,7 @@ def found(path: str, key: str) -> Any:
         sys.path.append(str(Path.cwd()))
     try:
         holder = import_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{error.name}."):
             problem = f"no module {error.name!r}, neither installed nor in {Path.cwd()} nor on PYTHONPATH"
         else:
@@ -118,8 +118,8 @@ def misfit(target: type, protocol: type) -> str | None:
             continue
         parameters = list(inspect.signature(value).parameters.values())[1:]
         shown = f"{name}({', '.join(p.name for p in parameters)})"
-        # getattr would find how classes themselves are called.
-        own = next((vars(c)[name] for c in target.__mro__ if name in vars(c)), None)
+        # getattr would find how classes themselves are called, and what the Protocol leaves open.
+        own = next((vars(c)[name] for c in target.__mro__ if name in vars(c) and not _is_protocol(c)), None)
         if not callable(own):
             return f"it has no {shown}"
         needed = [p.name for p in parameters if p.default is p.empty]
@@ -131,9 +131,11 @@ def misfit(target: type, protocol: type) -> str | None:
     return None
 
 
-def properties(path: str) -> list[str]:
-    """What objects of a Protocol must have besides methods, by the Protocol's dotted path."""
-    return [name for name, value in _members(pkgutil.resolve_name(path)) if isinstance(value, property)]
+def lacking(made: Any, path: str) -> list[str]:
+    """What an object has not of a Protocol besides methods, by the Protocol's dotted path."""
+    names = [name for name, value in _members(pkgutil.resolve_name(path)) if isinstance(value, property)]
+    holders = {name: next((c for c in type(made).__mro__ if name in vars(c)), object) for name in names}
+    return [name for name in names if _is_protocol(holders[name]) or not hasattr(made, name)]
 
 
 def _members(protocol: type) -> list[tuple[str, Any]]:
@@ -148,14 +150,34 @@ def _is_protocol(protocol: type) -> bool:
 def _check_settings(
     target: Callable[..., Any], config: OwnConfig, key: str, given: tuple[str, ...], named: tuple[str, ...]
 ) -> None:
-    signature = inspect.signature(target)
-    anything = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
-    own = [name for name in list(signature.parameters)[len(given) :] if name not in named]
+    try:
+        signature = inspect.signature(target)
+    except ValueError:
+        raise ConfigError(f"{key}.target", f"{config.target} does not tell what it takes") from None
+    names, anything = taken(target)
+    own = [name for name in names[len(given) :] if name not in named]
     for name in config.settings:
-        if name in named or not (anything or name in own):
+        if name in named:
+            raise ConfigError(
+                f"{key}.settings.{name}", f"is no setting of the class alone; set {name} outside settings"
+            )
+        if not (anything or name in own):
             near = did_you_mean([f"{key}.settings.{other}" for other in similar(name, own)])
             raise ConfigError(f"{key}.settings.{name}", f"{config.target} takes {listed(own) or 'no settings'}{near}")
     try:
         signature.bind(*given, **dict.fromkeys(named), **config.settings)
     except TypeError as error:
         raise ConfigError(f"{key}.settings", f"{config.target} cannot be made of {config.settings}: {error}") from None
+
+
+def taken(target: Callable[..., Any]) -> tuple[list[str], bool]:
+    """Names of what a function or class takes, of what it hands on to a class of ours too; whether it takes others."""
+    classes = [c for c in getattr(target, "__mro__", ()) if "__init__" in vars(c) and c is not object]
+    names: list[str] = []
+    for maker in classes or [target]:
+        parameters = inspect.signature(maker).parameters.values()
+        names += [p.name for p in parameters if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)]
+        if not any(p.kind is p.VAR_KEYWORD for p in parameters):
+            # What a class of the user's own does with the rest, only it knows.
+            return names, maker is not target and not maker.__module__.startswith("uwirl.")
+    return names, True

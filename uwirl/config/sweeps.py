@@ -12,7 +12,8 @@ from omegaconf import DictConfig
 
 from uwirl.config.checks import ConfigError, one_of
 from uwirl.config.compose import REFUSALS, searching
-from uwirl.config.groups import is_hydras, parsed
+from uwirl.config.groups import parsed
+from uwirl.config.overrides import section_of
 from uwirl.config.suggestions import explained
 
 
@@ -28,7 +29,7 @@ def space(name: str, words: Sequence[str], config_dir: str | None = None) -> lis
         ConfigError: the sweeper is not there or not installed, or a setting of it is impossible.
     """
     given = {parsed(word).key_or_group: word for word in words}
-    own = [word for key, word in given.items() if is_hydras(key)]
+    own = [word for key, word in given.items() if section_of(key) == "hydra"]
     if not own:
         return []
     for key in given:

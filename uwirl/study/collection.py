@@ -51,6 +51,12 @@ def rounded(value: str) -> str:
     return min(value, text, key=len)
 
 
+def told(keys: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Values of groups, numbers rounded if that leaves all groups different."""
+    short = [tuple(map(rounded, key)) for key in keys]
+    return short if len(set(short)) == len(keys) else list(keys)
+
+
 @dataclass(frozen=True)
 class Job:
     """A run that ended.

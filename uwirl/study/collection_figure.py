@@ -12,7 +12,7 @@ matplotlib.use("Agg")
 
 from matplotlib.figure import Figure
 
-from uwirl.study.collection import MAIN, Collection, Job, as_number, numbers, rounded
+from uwirl.study.collection import MAIN, Collection, Job, as_number, numbers, told
 from uwirl.study.whole_files import write_figure
 
 COLUMNS = 3
@@ -32,7 +32,8 @@ def draw(collection: Collection, folder: Path) -> list[Path]:
         folder: made when missing.
     """
     found = {key: group for key, group in collection.groups().items() if group}
-    groups = dict(zip(_labels(collection, list(found)), found.values(), strict=True))
+    labels = [_label(collection, key, len(found)) for key in told(list(found))]
+    groups = dict(zip(labels, found.values(), strict=True))
     jobs = [job for group in groups.values() for job in group]
     figures = {}
     metrics = [metric for metric in MAIN if _spread(jobs, metric)]
@@ -99,13 +100,9 @@ def curves_figure(groups: Mapping[str, Sequence[Job]]) -> Figure:
     return figure
 
 
-def _labels(collection: Collection, keys: Sequence[tuple[str, ...]]) -> list[str]:
-    """Overrides of each group, in lines; numbers rounded if that leaves all different."""
-    short = [tuple(map(rounded, key)) for key in keys]
-    return [_label(collection, key) for key in (short if len(set(short)) == len(keys) else keys)]
-
-
-def _label(collection: Collection, key: tuple[str, ...]) -> str:
-    told = ", ".join(f"{name}={value}" for name, value in zip(collection.varied, key, strict=True) if value)
+def _label(collection: Collection, key: tuple[str, ...], groups: int) -> str:
+    """Overrides of a group, in lines."""
+    text = ", ".join(f"{name}={value}" for name, value in zip(collection.varied, key, strict=True) if value)
     # Matplotlib would read a formula between two dollar signs.
-    return textwrap.fill(told.replace("$", r"\$"), WIDTH, break_long_words=False, break_on_hyphens=False) or "all"
+    lines = textwrap.fill(text.replace("$", r"\$"), WIDTH, break_long_words=False, break_on_hyphens=False)
+    return lines or ("all" if groups == 1 else "defaults")

@@ -8,7 +8,7 @@ import json
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from uwirl.study.collection import MAIN, Collection, Job, interval, numbers, rounded
+from uwirl.study.collection import MAIN, Collection, Job, interval, numbers, told
 
 # Of what is no run; a folder of something else would fill the page.
 MOST_SKIPPED = 20
@@ -66,13 +66,13 @@ def _groups(collection: Collection) -> Iterator[str]:
     complete = [job for group in groups.values() for job in group]
     metrics = [metric for metric in MAIN if numbers(complete, metric)]
     rows = []
-    for key, group in groups.items():
+    for key, group in zip(told(list(groups)), groups.values(), strict=True):
         cells = []
         for metric in metrics:
             found = interval(numbers(group, metric))
             few = f" ({found.n} of {len(group)})" if found and found.n < len(group) else ""
             cells.append(f"{found}{few}" if found else "-")
-        rows.append([*map(rounded, key), str(len(group)), *cells])
+        rows.append([*key, str(len(group)), *cells])
     yield from _table([*collection.varied, "n", *metrics], rows)
     yield ""
     yield "Mean ± half of its 95 % interval (Student's t) over the n seeds; (k of n) where only k have a number."

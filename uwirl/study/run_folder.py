@@ -30,7 +30,7 @@ log = logging.getLogger("uwirl")
 MOST_BYTES = 10**8
 
 # What a run writes besides config.yaml and run.log.
-RESULTS = ("metrics.json", "trajectory.npz", "layouts.npz", "checkpoints", "figures", "tb")
+RESULTS = ("metrics.json", "trajectory.npz", "layouts.npz", "estimate.npz", "checkpoints", "figures", "tb")
 
 
 class FolderError(ValueError):
@@ -100,11 +100,11 @@ def has_results(folder: Path) -> bool:
         complete = read_metrics(folder)["status"] == "complete"
     except (OSError, ValueError):
         complete = False
-    return complete or any((folder / name).exists() for name in RESULTS if name != "metrics.json")
+    return complete or any((folder / name).exists() for name in RESULTS if name not in ("metrics.json", "tb"))
 
 
 def _relevant(settings: Mapping[Any, Any]) -> dict[str, Any]:
-    """Those that change the result; equal numbers count as equal."""
+    """Those that change the result."""
     return {str(key): value for key, value in settings.items() if key not in FREE}
 
 
@@ -132,9 +132,12 @@ def held(folder: Path) -> Iterator[None]:
 
 
 def check_free(folder: Path, config: Config | EstimateConfig) -> None:
-    """Raises FolderError where another configuration's run has been."""
+    """Raises FolderError where another configuration's run has been, or one of whose settings nothing is known."""
     path = folder / "config.yaml"
     if not path.exists():
+        # An experiment's script leaves no settings.
+        if (folder / "metrics.json").exists():
+            raise _another(folder)
         return
     try:
         settings = OmegaConf.to_container(OmegaConf.load(path))
