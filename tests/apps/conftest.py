@@ -1,12 +1,14 @@
-"""Commands in this process."""
+"""Commands in this process, and a run that they are held against."""
 
 from __future__ import annotations
 
 import logging
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
+from flights import SHORT, go
 
 
 @pytest.fixture
@@ -25,3 +27,11 @@ def call(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
             handler.close()
     root.handlers[:] = handlers
     root.setLevel(level)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """A run that was never interrupted."""
+    folder = tmp_path_factory.mktemp("whole")
+    go(folder, *SHORT)
+    return folder
