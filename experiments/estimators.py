@@ -26,10 +26,11 @@ from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.snr.estimators import ESTIMATORS
 from uwirl.snr.information import cramer_rao_bound
 from uwirl.snr.intervals import intervals
-from uwirl.snr.measurements import Readings
+from uwirl.world.messages import Readings
 from uwirl.snr.model import Fading, observations
 from uwirl.world.acoustics import Channel
-from uwirl.world.fading import distances, exact_shadowing
+from uwirl.world.fading import exact_shadowing
+from uwirl.world.geometry import distances
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.scenario import Scenario, spread_sensors
 

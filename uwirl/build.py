@@ -2,7 +2,7 @@
 
 from uwirl.builders.estimators import make_estimator
 from uwirl.builders.motion import make_cost, make_guard, make_guidance
-from uwirl.builders.planners import make_planner, policy_in
+from uwirl.builders.planners import make_planner
 from uwirl.builders.worlds import make_channel, make_layouts, make_relay, make_scenario
 
 __all__ = [
@@ -15,5 +15,4 @@ __all__ = [
     "make_planner",
     "make_relay",
     "make_scenario",
-    "policy_in",
 ]

@@ -12,7 +12,7 @@ from uwirl.motion.baselines.guesses import guess_along, guess_from
 from uwirl.motion.baselines.trajectory_optimization import PlanPolicy, TrajectoryOptimization, optimise
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import oracle
-from uwirl.snr.measurements import take_readings
+from uwirl.world.messages import take_readings
 from uwirl.study.evaluation import evaluate
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.random import RandomStreams

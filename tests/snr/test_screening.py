@@ -13,8 +13,8 @@ from scipy import stats
 from uwirl import build
 from uwirl.config.schema import EstimatorConfig
 from uwirl.snr.estimators import least_squares, maximum_likelihood
-from uwirl.snr.measurements import Readings
-from uwirl.snr.screening import repeated_median, screen, unlike
+from uwirl.world.messages import Readings
+from uwirl.snr.outliers import repeated_median, screen, unlike
 from uwirl.world.acoustics import Channel
 
 

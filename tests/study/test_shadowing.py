@@ -13,7 +13,7 @@ from torch import Tensor
 from uwirl.motion.targets import ChainTargets, mean_channel_targets
 from uwirl.snr.estimators import estimate_each_vehicle, maximum_likelihood, oracle
 from uwirl.snr.kriging import Kriging
-from uwirl.snr.measurements import Readings, take_readings
+from uwirl.world.messages import Readings, take_readings
 from uwirl.study import shadowing
 from uwirl.world.random import RandomStreams
 from uwirl.world.relay import Relay, Trajectory

@@ -8,7 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from uwirl.world.fading import Shadowing, ShadowingField, distances, exact_shadowing
+from uwirl.world.fading import Shadowing, ShadowingField, exact_shadowing
+from uwirl.world.geometry import distances
 from uwirl.world.random import RandomStreams, Stream
 
 ZETA, VARPHI = 3.0, 15.0

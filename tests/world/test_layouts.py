@@ -67,7 +67,7 @@ def test_count_and_speed(kind):
         fewest = most = 24
     obstacles = draw([kind]).obstacles
     count = obstacles.present.sum(-1)
-    assert (int(count.min()), int(count.max()), obstacles.count) == (fewest, most, most)
+    assert (int(count.min()), int(count.max()), obstacles.number) == (fewest, most, most)
     speed = torch.linalg.vector_norm(obstacles.velocity, dim=-1)[obstacles.present]
     low, high = (0.2, 0.5) if kind == "moving" else (0.0, 0.0)
     assert bool(((speed >= low - 1e-12) & (speed <= high + 1e-12)).all())

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from torch import Tensor
-
 from uwirl.config.schema import (
     BarrierGuardConfig,
     Config,
@@ -15,30 +13,28 @@ from uwirl.config.schema import (
 )
 from uwirl.motion.avoidance import Avoidance, Printed, remark_2, smooth
 from uwirl.motion.barrier import BarrierGuard
-from uwirl.motion.cost import RelayCost
+from uwirl.motion.cost import CostWeights
 from uwirl.motion.guidance import Geodesic, Guidance, straight
 from uwirl.motion.route import MapSettings
-from uwirl.motion.safety import EnergyGuard, Guard, unguarded
-from uwirl.motion.targets import ChainTargets
-from uwirl.world.acoustics import Channel
+from uwirl.motion.safety import EnergyGuard, unguarded
+from uwirl.world.agent import Guard
+from uwirl.world.relay import Relay
 
 
-def make_cost(config: CostConfig, channel: Channel, targets: ChainTargets, tau_max: Tensor) -> RelayCost:
-    """The running cost on a channel: the estimate to learn from, the truth to be judged by."""
+def make_cost(config: CostConfig) -> CostWeights:
+    """Weights of the running cost."""
     avoidance: Avoidance = smooth
     if isinstance(config, PrintedCostConfig):
         avoidance = Printed(*remark_2(config.left_m, config.right_m, config.kappa_1, config.kappa_2))
-    return RelayCost(
-        channel, targets.neighbours, config.beta_1, config.beta_2, config.yaw_weight, config.R, tau_max, avoidance
-    )
+    return CostWeights(config.beta_1, config.beta_2, config.yaw_weight, config.R, avoidance)
 
 
-def make_guard(config: Config) -> Guard:
-    """What stands between policy and thrusters."""
-    safety = config.safety
+def make_guard(config: Config, env: Relay) -> Guard:
+    """What stands between agent and thrusters."""
+    safety, scenario = config.safety, env.scenario
     if isinstance(safety, BarrierGuardConfig):
         u, v, w = safety.inertia_kg
-        return BarrierGuard(safety.margin_m, safety.separation_m, safety.k_1, safety.k_0, (u, v, w))
+        return BarrierGuard(safety.margin_m, safety.separation_m, safety.k_1, safety.k_0, (u, v, w), env.vehicle.tau_max, scenario.vehicle_radius)
     if not isinstance(safety, EnergyGuardConfig):
         return unguarded
     return EnergyGuard(
@@ -48,6 +44,9 @@ def make_guard(config: Config) -> Guard:
         safety.mass_upper_kg,
         safety.mass_lower_kg,
         safety.brake_force_N,
+        env.vehicle.tau_max,
+        scenario.dt,
+        scenario.vehicle_radius,
     )
 
 

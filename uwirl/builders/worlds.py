@@ -9,17 +9,19 @@ import torch
 from torch import Tensor
 
 from uwirl.builders.own import make_own
+from uwirl.config.own import found
 from uwirl.config.own_schema import values as values_of
 from uwirl.config.schema import ChannelConfig, Config
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.world.absorption import Water
-from uwirl.world.acoustics import Channel
+from uwirl.world.acoustics import Channel, LinkBudget
 from uwirl.world.current import Current
 from uwirl.world.layouts import Layouts, draw_layouts
 from uwirl.world.obstacles import Obstacles, no_obstacles
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario, spread_sensors
+from uwirl.world.truth import truth_of
 from uwirl.world.vehicle import Dynamics, Vehicle
 
 
@@ -71,8 +73,13 @@ def _obstacles(config: Config) -> Obstacles:
 
 def make_channel(config: ChannelConfig) -> Channel:
     values = values_of(config) | {"water": Water(**asdict(config.water))}
-    channel: Channel = Channel(**values) if config.target is None else make_own(config, "channel", **values)
-    return channel
+    own = {name: values.pop(name) for name in ("K_dB", "n", "zeta_dB", "varphi_m", "rho_dB")}
+    family = None if config.target is None else found(config.target, "channel.target")
+    if family is not None and issubclass(family, Channel):
+        channel: Channel = make_own(config, "channel", LinkBudget(**values), **own)
+        return channel
+    budget = LinkBudget(**values) if family is None else make_own(config, "channel", **values)
+    return Channel(budget, **own)
 
 
 def _make_vehicle(config: Config) -> Dynamics:
@@ -94,10 +101,10 @@ def make_layouts(config: Config) -> tuple[Relay, Layouts]:
     assert settings is not None
     streams = RandomStreams.worlds(settings.seed, settings.count, config.device)
     env = make_relay(config, streams)
-    targets = mean_channel_targets(env.scenario, env.channel).frame.target
+    targets = mean_channel_targets(env.scenario, truth_of(env).channel).frame.target
     layouts = draw_layouts(streams, settings.kinds, targets, settings.half_width_m, env.scenario.vehicle_radius)
     bearing = 2.0 * math.pi * streams.uniform(Stream.DISTURBANCE, 1, 1)[:, 0]
     side = torch.stack([torch.cos(bearing), torch.sin(bearing), torch.zeros_like(bearing)], -1).to(targets.dtype)
     current = env.scenario.current
     current = replace(current, mean=current.mean + settings.current_mps * side)
-    return Relay(replace(env.scenario, current=current), env.vehicle, env.channel, streams), layouts
+    return env.on(replace(env.scenario, current=current), streams), layouts

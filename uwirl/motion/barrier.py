@@ -13,15 +13,15 @@ collisions-free multirobot systems", IEEE Transactions on Robotics 33, 2017.)
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from uwirl.motion.policy import Policy
-from uwirl.motion.safety import obstacle_neighbours, vehicle_neighbours
-from uwirl.world.relay import Relay
-from uwirl.world.vehicle import VehicleState
+from uwirl.motion.safety import nothing_near, obstacle_neighbours, vehicle_neighbours
+from uwirl.world.geometry import turned_to_body, turned_to_inertial
+from uwirl.world.observation import Observation
 
 
 @dataclass(frozen=True)
@@ -34,50 +34,44 @@ class BarrierGuard:
         k_1: 1/s.
         k_0: 1/s^2.
         inertia_kg: in surge, sway and heave, as believed.
+        tau_max: thruster limits, [4].
+        vehicle_radius: m.
     """
 
     margin_m: float
     separation_m: float
     k_1: float
     k_0: float
-    inertia_kg: tuple[float, float, float]
+    inertia_kg: Sequence[float]
+    tau_max: Tensor
+    vehicle_radius: float
 
-    def __call__(self, env: Relay, policy: Policy) -> Policy:
-        """The policy, with surge and sway changed as little as the barriers ask for."""
-        scenario, vehicle = env.scenario, env.vehicle
-        if scenario.obstacles.count == 0 and scenario.vehicles == 1:
-            return policy
+    def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
+        """tau [B, M, 4], with surge and sway changed as little as the barriers ask for."""
+        if nothing_near(observation):
+            return tau
+        tau = torch.maximum(torch.minimum(tau, self.tau_max), -self.tau_max)
+        planes = []
+        if observation.obstacles.number:
+            planes.append(self._obstacles(observation))
+        if observation.eta.shape[-2] > 1:
+            planes.append(self._vehicles(observation, tau))
+        normal, least = (torch.cat(parts, dim) for parts, dim in zip(zip(*planes, strict=True), (-2, -1), strict=True))
+        return torch.cat([nearest_force(tau[..., :2], normal, least, self.tau_max[:2]), tau[..., 2:]], -1)
 
-        def guarded(state: VehicleState, step: int) -> Tensor:
-            tau = vehicle.saturate(policy(state, step))
-            planes = []
-            if scenario.obstacles.count:
-                planes.append(self._obstacles(env, state, step * scenario.dt))
-            if scenario.vehicles > 1:
-                planes.append(self._vehicles(state, tau))
-            normal, least = (
-                torch.cat(parts, dim) for parts, dim in zip(zip(*planes, strict=True), (-2, -1), strict=True)
-            )
-            return torch.cat([nearest_force(tau[..., :2], normal, least, vehicle.tau_max[:2]), tau[..., 2:]], -1)
-
-        return guarded
-
-    def _obstacles(self, env: Relay, state: VehicleState, time: float) -> tuple[Tensor, Tensor]:
-        near = obstacle_neighbours(env, state, time)
-        l = near.clearance + env.scenario.vehicle_radius + env.scenario.obstacles.radius[..., None, :]
+    def _obstacles(self, observation: Observation) -> tuple[Tensor, Tensor]:
+        near = obstacle_neighbours(observation, self.vehicle_radius)
+        l = near.clearance + self.vehicle_radius + observation.obstacles.radius
         least = self._least(near.n, near.nu, near.clearance - self.margin_m, l)
         return near.n[..., :2] / self._inertia(near.n)[:2], least
 
-    def _vehicles(self, state: VehicleState, tau: Tensor) -> tuple[Tensor, Tensor]:
-        near = vehicle_neighbours(state)
+    def _vehicles(self, observation: Observation, tau: Tensor) -> tuple[Tensor, Tensor]:
+        near = vehicle_neighbours(observation)
         # Relative velocities, in the axes of the vehicle that they are for.
-        psi = state.eta[..., 3]
-        c, s = torch.cos(psi), torch.sin(psi)
-        u, v, w = state.nu[..., :3].unbind(-1)
-        inertial = torch.stack([c * u - s * v, s * u + c * v, w], -1)
-        x, y, z = (inertial[..., :, None, :] - inertial[..., None, :, :]).unbind(-1)
-        c, s = c[..., None], s[..., None]
-        relative = torch.stack([c * x + s * y, c * y - s * x, z], -1)
+        psi, others = observation.eta[..., 3], observation.messages
+        own = turned_to_inertial(observation.nu[..., :3], psi)[..., :, None, :]
+        theirs = turned_to_inertial(others.nu[..., :3], others.eta[..., 3])
+        relative = turned_to_body(own - theirs, psi[..., None])
         least = 0.5 * self._least(near.n, relative, near.clearance - self.separation_m, near.clearance)
         inertia = self._inertia(near.n)
         return near.n[..., :2] / inertia[:2], least - near.n[..., 2] * tau[..., 2, None] / inertia[2]

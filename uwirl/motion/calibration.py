@@ -1,4 +1,4 @@
-"""The hover that comes before anything else: is the policy admissible, and what trim does it take?"""
+"""The hover that comes before anything else: is the start policy admissible, and what trim does it take?"""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from uwirl.irl.networks import LinearActor
 from uwirl.irl.policy_iteration import InadmissiblePolicyError
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.link_frame import LinkFrame
-from uwirl.motion.policy import LinkFramePolicy
-from uwirl.motion.safety import Guard
+from uwirl.motion.linear_agent import LinkController
+from uwirl.world.agent import Guard, Guarded
 from uwirl.world.relay import Relay, Trajectory
 
 
@@ -33,13 +33,14 @@ def calibration_hover(
     Raises:
         InadmissiblePolicyError: the cost grew instead of falling.
     """
-    state = env.reset()
+    start = env.start()
     steps = round(seconds / env.scenario.dt)
     quarter = steps // 4
-    pose = state.components.new_tensor([1.0, 1.0, 0.0, 0.0]).expand(*state.components.shape[1:], 4)
-    frame = LinkFrame.seen_as(state, pose).within(env.scenario.depth)
-    no_trim = actor.weight.new_zeros(4)
-    trajectory = env.rollout(guard(env, LinkFramePolicy(frame, actor, no_trim)), state, steps)
+    eta = start.vehicles.eta
+    pose = eta.new_tensor([1.0, 1.0, 0.0, 0.0]).expand_as(eta)
+    frame = LinkFrame.seen_as(eta, pose).within(env.scenario.depth)
+    hovering = LinkController(frame, actor, actor.weight.new_zeros(4))
+    trajectory = env.rollout(Guarded(hovering, guard), start, steps)
     running = cost.state(frame.relative(trajectory.states)).flatten(1)
     before, after = float(running[:quarter].mean()), float(running[-quarter:].mean())
     if not after < before:

@@ -11,13 +11,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from uwirl.motion.avoidance import Avoidance
+from uwirl.motion.avoidance import Avoidance, smooth
 from uwirl.world.acoustics import Channel
 from uwirl.world.obstacles import Obstacles
+
+
+@dataclass(frozen=True)
+class CostWeights:
+    """What a mission is judged by; the defaults are those of cost=relay.
+
+    Attributes:
+        beta_1: weight of the link cost, (kbit/s)^2.
+        beta_2: weight of the avoidance term, m^2.
+        yaw_weight: without this small term the optimal yaw weights are zero.
+        R: control weights of an effort normalised by the thruster limits; surge, sway, heave, yaw.
+        avoidance: E_O.
+    """
+
+    beta_1: float = 100.0
+    beta_2: float = 1.0
+    yaw_weight: float = 0.01
+    R: Sequence[float] = (0.1, 0.08, 1.0, 1.2)
+    avoidance: Avoidance = smooth
 
 
 class RelayCost:
@@ -26,38 +46,21 @@ class RelayCost:
     Args:
         channel: the channel to count on: the estimate when learning, the truth when evaluating.
         neighbours: positions of a vehicle's two neighbours in its link frame, [..., M, 2, 3], m.
-        beta_1: weight of the link cost, (kbit/s)^2.
-        beta_2: weight of the avoidance term, m^2.
-        yaw_weight: without this small term the optimal yaw weights are zero.
-        R: control weights of an effort normalised by the thruster limits, [4].
-        tau_max: [4].
-        avoidance: E_O.
+        weights: as named.
+        tau_max: thruster limits, [4].
     """
 
-    def __init__(
-        self,
-        channel: Channel,
-        neighbours: Tensor,
-        beta_1: float,
-        beta_2: float,
-        yaw_weight: float,
-        R: Sequence[float],
-        tau_max: Tensor,
-        avoidance: Avoidance,
-    ):
+    def __init__(self, channel: Channel, neighbours: Tensor, weights: CostWeights, tau_max: Tensor):
         self.channel = channel
         self.neighbours = neighbours
-        self.beta_1 = beta_1
-        self.beta_2 = beta_2
-        self.yaw_weight = yaw_weight
-        self.avoidance = avoidance
+        self.weights = weights
         # In newtons, R would make 0.16 m/s optimal and the mission would never end.
-        self.R = torch.tensor(list(R), dtype=tau_max.dtype, device=tau_max.device) / tau_max**2
+        self.R = torch.tensor(list(weights.R), dtype=tau_max.dtype, device=tau_max.device) / tau_max**2
         self.minimum = self._inverse_square_capacity(neighbours.new_zeros(*neighbours.shape[:-2], 3))
 
     def _inverse_square_capacity(self, error: Tensor) -> Tensor:
         hop = torch.linalg.vector_norm(error[..., None, :] - self.neighbours, dim=-1).amax(-1)
-        return self.beta_1 / self.channel.mean_capacity_kbps(hop).square()
+        return self.weights.beta_1 / self.channel.mean_capacity_kbps(hop).square()
 
     def link(self, xi: Tensor) -> Tensor:
         """E_L less its minimum, [..., M], of xi [..., M, 8]."""
@@ -70,7 +73,7 @@ class RelayCost:
 
     def yaw(self, xi: Tensor) -> Tensor:
         """The yaw term, [..., M]."""
-        return self.yaw_weight * (1.0 - torch.cos(xi[..., 3]))
+        return self.weights.yaw_weight * (1.0 - torch.cos(xi[..., 3]))
 
     def of(self, vehicle: Tensor) -> RelayCost:
         """The cost of some vehicles, by their numbers [K], which count on over all worlds; the K are the new M."""
@@ -85,10 +88,10 @@ class RelayCost:
 
         A virtual link moves its frame, obstacles stay: so this is no function of xi and no part of `state`.
         """
-        if obstacles.count == 0:
+        if obstacles.number == 0:
             return torch.zeros_like(position[..., 0])
         l = obstacles.distance(position, time)
-        return self.beta_2 * self.avoidance(l, obstacles.influence[..., None, :])
+        return self.weights.beta_2 * self.weights.avoidance(l, obstacles.influence[..., None, :])
 
     def state(self, xi: Tensor) -> Tensor:
         """All of q that depends on xi alone, [..., M]."""

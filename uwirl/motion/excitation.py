@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -12,7 +13,6 @@ from uwirl.motion.link_frame import LinkFrame
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario
-from uwirl.world.vehicle import VehicleState
 
 FREQUENCIES = 6
 # Half width of the angle between a link in the arena and the way from its target to the vehicle, rad: missions, too,
@@ -30,9 +30,9 @@ class Excitation:
         band_rad_s: range from which the frequencies are drawn, rad/s.
     """
 
-    rms: tuple[float, ...]
-    strength: tuple[float, float]
-    band_rad_s: tuple[float, float]
+    rms: Sequence[float]
+    strength: Sequence[float]
+    band_rad_s: Sequence[float]
 
     def draw(self, streams: RandomStreams, vehicles: int, leg: int, steps: int, dt: float) -> Tensor:
         """[n, B M, 4]."""
@@ -43,7 +43,7 @@ class Excitation:
         strength = self.strength[0] + (self.strength[1] - self.strength[0]) * u[:, :1]
         time = torch.arange(steps, dtype=u.dtype, device=u.device).view(-1, 1, 1, 1) * dt
         wave = torch.sin(omega * time + 2.0 * math.pi * phase).sum(-1) / (FREQUENCIES / 2.0) ** 0.5
-        return wave * strength * torch.tensor(self.rms, dtype=u.dtype, device=u.device)
+        return wave * strength * torch.tensor(list(self.rms), dtype=u.dtype, device=u.device)
 
 
 @dataclass(frozen=True)
@@ -74,27 +74,27 @@ class PoseDraw:
         half = torch.tensor([self.along_m, self.across_m, self.up_m, self.yaw_rad], dtype=u.dtype, device=u.device)
         return (2.0 * u[:, :4] - 1.0) * half * shrink
 
-    def frame(self, env: Relay, state: VehicleState, step: int) -> LinkFrame:
-        """Links of [B, M] vehicles, wherever these poses put them, with the targets in the water."""
-        pose = self.draw(env.streams, state.eta.shape[1], step).to(state.eta.dtype)
-        return LinkFrame.seen_as(state, pose.view(state.eta.shape)).within(env.scenario.depth)
+    def frame(self, env: Relay, eta: Tensor, step: int) -> LinkFrame:
+        """Links of vehicles at [B, M, 4], wherever these poses put them, with the targets in the water."""
+        pose = self.draw(env.streams, eta.shape[1], step).to(eta.dtype)
+        return LinkFrame.seen_as(eta, pose.view(eta.shape)).within(env.scenario.depth)
 
 
 @dataclass(frozen=True)
 class ArenaDraw(PoseDraw):
     """Links that stand anywhere in the box of nodes, starts and obstacles, near ones about the vehicle."""
 
-    def frame(self, env: Relay, state: VehicleState, step: int) -> LinkFrame:
-        """Links of [B, M] vehicles, with the targets in the water."""
-        about = super().frame(env, state, step)
-        B, M = state.eta.shape[:-1]
+    def frame(self, env: Relay, eta: Tensor, step: int) -> LinkFrame:
+        """Links of vehicles at [B, M, 4], with the targets in the water."""
+        about = super().frame(env, eta, step)
+        B, M = eta.shape[:-1]
         # The first five of each vehicle are its pose's.
-        u = env.streams.uniform(Stream.INITIAL_STATE, step, 8 * M).to(state.eta.dtype)
+        u = env.streams.uniform(Stream.INITIAL_STATE, step, 8 * M).to(eta.dtype)
         near = u[:, : 5 * M].view(B, M, 5)[..., 4] < self.near_share
         x, y, askew = u[:, 5 * M :].view(B, M, 3).unbind(-1)
         low, high = _box(env.scenario)
         place = low + (high - low) * torch.stack([x, y], -1)
-        away = state.position[..., :2] - place
+        away = eta[..., :2] - place
         bearing = torch.atan2(away[..., 1], away[..., 0]) + ASKEW * (2.0 * askew - 1.0)
         target = torch.where(near[..., None], about.target, torch.cat([place, about.target[..., 2:]], -1))
         return LinkFrame(target, torch.where(near, about.bearing, bearing))

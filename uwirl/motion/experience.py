@@ -1,240 +1,213 @@
 """Where the learner's experience comes from.
 
 A vehicle's problem depends on its pose relative to its link only, so a link may be placed anywhere: a flight towards a
-virtual link teaches as much as the mission itself, and one flown segment can be relabelled into other virtual frames.
-Where the basis sees ways among obstacles, which stand where they are, so do the virtual links, and none is relabelled.
+virtual link teaches as much as the mission itself, and one flown segment can be seen from other virtual frames as well.
+Where the basis sees ways among obstacles, which stand where they are, so do the virtual links, and none is seen from
+elsewhere.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
-from uwirl.irl.bellman import BellmanOperator, Segment
+from uwirl.irl.bellman import Segment
 from uwirl.irl.networks import LinearActor
-from uwirl.irl.solvers import Experience
-from uwirl.motion.cost import RelayCost
-from uwirl.motion.excitation import Excitation, PoseDraw
-from uwirl.motion.features import MotionBasis
+from uwirl.irl.solvers import Batch
+from uwirl.motion.excitation import ArenaDraw, Excitation, PoseDraw
+from uwirl.motion.linear_agent import LinearAgent
 from uwirl.motion.link_frame import relabel
-from uwirl.motion.policy import LinearPolicy
-from uwirl.motion.safety import Guard
+from uwirl.motion.recorder import Recorder
+from uwirl.world.agent import Guard, Guarded
 from uwirl.world.obstacles import contacts
 from uwirl.world.random import RandomStreams
-from uwirl.world.relay import Relay, Trajectory
-from uwirl.world.vehicle import VehicleState
+from uwirl.world.relay import Relay, Trajectory, WorldState
+from uwirl.world.scenario import Scenario
 
-
-@dataclass(frozen=True)
-class Window:
-    """Windows of integral reinforcement: T = steps x dt, one every stride x dt."""
-
-    steps: int
-    stride: int
-
-
-class Recorder:
-    """Turns trajectories into segments for the learner.
-
-    Args:
-        basis: features.
-        operator: Bellman operator of that basis.
-        cost: the learner's running cost.
-        trim: tau_trim, [L, 4].
-        window: integration windows.
-        residual_floor: a window's equation is divided by its mean cost plus this share of the cost scale. Otherwise the
-            windows far from the target, where cost is a hundred times larger, decide all weights alone.
-    """
-
-    def __init__(
-        self,
-        basis: MotionBasis,
-        operator: BellmanOperator,
-        cost: RelayCost,
-        trim: Tensor,
-        window: Window,
-        residual_floor: float,
-    ):
-        self.basis = basis
-        self.operator = operator
-        self.cost = cost
-        self.trim = trim
-        self.window = window
-        self.floor = residual_floor * cost.scale.mean()
-        self.contacts = 0
-
-    def watch(self, env: Relay, trajectory: Trajectory) -> None:
-        """Count the contacts with obstacles while learning."""
-        self.contacts += int(
-            contacts(env.scenario.clearance(trajectory.states.position, trajectory.time[:, None])).sum()
-        )
-
-    def segment(self, x: Tensor, tau: Tensor, afloat: Tensor, dt: float) -> Segment:
-        """Windows [S, ...] of x [n + 1, ..., d] under held tau [n, ..., 4].
-
-        Windows in which `afloat` [n + 1, ...] is false count for nothing: surface and floor push too.
-        """
-        segment = self.operator.segment(
-            self.basis.critic(x),
-            self.basis.actor(x),
-            tau - self.trim,
-            self.basis.state_cost(self.cost, x),
-            dt,
-            self.window.steps,
-            self.window.stride,
-        )
-        mean_cost = segment.cost / (self.window.steps * dt)
-        counts = afloat.unfold(0, self.window.steps + 1, self.window.stride).all(-1)
-        return segment.weighted(counts / (mean_cost + self.floor))
+# A mission's links are longer than what is drawn by no more than this, and starts no farther, m/m.
+BEYOND = 1.05
 
 
 class FlightState(NamedTuple):
     """Where a flight stands between two legs; as all draws are counter-based, the rest of it follows from this.
 
     Attributes:
-        components: states of the vehicles, [8, B, M].
-        step: index, from the beginning of the flight, of the next step.
+        world: where the vehicles are, and at which step.
         leg: number of the next leg.
     """
 
-    components: Tensor
-    step: int
+    world: WorldState
     leg: int
-
-    @classmethod
-    def after(cls, trajectory: Trajectory, leg: int) -> FlightState:
-        """Where a trajectory ends; a copy, which does not hold the rest of it in memory."""
-        return cls(trajectory.components[-1].clone(), trajectory.first_step + len(trajectory.tau), leg)
 
 
 class Leg(NamedTuple):
     """One leg of a flight.
 
     Attributes:
-        experience: what was learned from it.
+        batch: what can be learned from it.
         after: where the flight stands then.
+        seconds: of vehicle time that it took.
+        contacts: with obstacles on it.
     """
 
-    experience: Experience
+    batch: Batch
     after: FlightState
+    seconds: float
+    contacts: int
+
+
+def contacts_while(env: Relay, flown: Trajectory) -> int:
+    """Contacts of all vehicles with obstacles."""
+    return int(contacts(env.scenario.clearance(flown.states.position, flown.time[:, None])).sum())
+
+
+class ExperienceSource(Protocol):
+    """Flies the newest policy to learn from the flight."""
+
+    def learners(self, env: Relay) -> int:
+        """L, how many sets of weights learn from it."""
+        ...
+
+    def begin(self, hover: Trajectory) -> FlightState:
+        """Where the flight stands when the calibration hover is over."""
+        ...
+
+    def fly(self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard) -> Leg:
+        """The next leg, which depends on where the flight stands and on the actor's weights alone."""
+        ...
 
 
 @dataclass(frozen=True)
-class VirtualLinks:
-    """One continuous flight; every leg a new virtual link is drawn, and segments are relabelled into other frames.
+class Exploration:
+    """How the learner flies to learn.
 
     Attributes:
         leg_s: time between two virtual links, s.
-        relabel: how many further frames each leg is placed in.
-        relabel_time_s: relabelled experience counts exp(-flight time / relabel_time_s) as much as flown.
-        excitation, pose: as named.
+        max_time_s: how long such a flight is worth going on, s; `planner.max_time_s` refers to it.
+        excitation_rms, excitation_strength, excitation_band_rad_s: see Excitation.
+        across_share: half width of starts across the link, as a share of that along it.
+        up_m, yaw_rad, near_share, near_scale: see PoseDraw.
     """
 
     leg_s: float
-    relabel: int
-    relabel_time_s: float
-    excitation: Excitation
-    pose: PoseDraw
+    max_time_s: float
+    excitation_rms: Sequence[float]
+    excitation_strength: Sequence[float]
+    excitation_band_rad_s: Sequence[float]
+    across_share: float
+    up_m: float
+    yaw_rad: float
+    near_share: float
+    near_scale: float
 
-    def begin(self, hover: Trajectory) -> FlightState:
-        """The flight goes on where the hover ends."""
-        return FlightState.after(hover, 0)
+    @property
+    def excitation(self) -> Excitation:
+        """Added to the policy's control."""
+        return Excitation(self.excitation_rms, self.excitation_strength, self.excitation_band_rad_s)
 
-    def fly(
-        self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard
-    ) -> Iterator[Leg]:
-        """Legs from where a flight stands, flown with whatever the actor's weights are at the time.
+    def poses(self, scenario: Scenario, among_obstacles: bool) -> PoseDraw:
+        """Where legs begin relative to their links: as far as in missions, and a little further."""
+        source, destination = scenario.source.tolist(), scenario.destination.tolist()
+        half = [(b - a) / 2.0 for a, b in zip(source, destination, strict=True)]
+        bearing = math.atan2(half[1], half[0])
+        c, s = math.cos(bearing), math.sin(bearing)
+        starts = scenario.start.flatten(0, -2)[:, :3].tolist()
+        errors = [[p - a - h for p, a, h in zip(start, source, half, strict=True)] for start in starts]
+        along = BEYOND * max(math.hypot(*half), *(abs(c * x + s * y) for x, y, _ in errors))
+        return (ArenaDraw if among_obstacles else PoseDraw)(
+            along_m=along,
+            across_m=max(self.across_share * along, *(BEYOND * abs(c * y - s * x) for x, y, _ in errors)),
+            up_m=max(self.up_m, *(BEYOND * abs(z) for _, _, z in errors)),
+            yaw_rad=self.yaw_rad,
+            near_share=self.near_share,
+            near_scale=self.near_scale,
+        )
 
-        The B M vehicles learn independently, L = B M.
-        """
-        dt, vehicles = env.scenario.dt, env.scenario.vehicles
-        steps = round(self.leg_s / dt)
-        while True:
-            leg = flight.leg
-            draw = leg * (1 + self.relabel)
-            flown, x = _fly_leg(env, flight, self.pose, draw, actor, recorder, self.excitation, guard, steps)
-            flight = FlightState.after(flown, leg + 1)
-            tau, afloat = flown.tau.flatten(1, 2), _afloat(env, flown)
-            weight = math.exp(-(leg + 1) * self.leg_s / self.relabel_time_s) if self.relabel else 0.0
-            relabelled = None
-            # Below a thousandth the relabelled windows no longer matter and are not made.
-            if weight > 1e-3:
-                copies = [
-                    relabel(x, self.pose.draw(env.streams, vehicles, draw + k)) for k in range(1, 1 + self.relabel)
-                ]
-                segments = [recorder.segment(copy, tau, afloat, dt) for copy in copies]
-                relabelled = Segment(*(torch.cat(parts) for parts in zip(*segments, strict=True)))
-            yield Leg(Experience(recorder.segment(x, tau, afloat, dt), relabelled, weight, self.leg_s), flight)
+    def flown(
+        self, env: Relay, flight: FlightState, draw: int, actor: LinearActor, recorder: Recorder, guard: Guard
+    ) -> tuple[Trajectory, Tensor]:
+        """One excited leg to the virtual links of a draw; also x [n + 1, L, d]."""
+        world, steps = flight.world, round(self.leg_s / env.scenario.dt)
+        eta = world.vehicles.eta
+        B, M = eta.shape[:2]
+        poses = self.poses(env.scenario, recorder.basis.among_obstacles)
+        view = recorder.basis.view(env, poses.frame(env, eta, draw))
+        wave = self.excitation.draw(env.streams, M, flight.leg, steps, env.scenario.dt).to(eta.dtype)
+        agent = LinearAgent(view, actor, recorder.trim, wave.view(steps, B, M, 4), int(world.step[0]))
+        trajectory = env.rollout(Guarded(agent, guard), world, steps)
+        return trajectory, view.along(trajectory.carry, trajectory).flatten(1, 2).double()
 
 
 @dataclass(frozen=True)
-class Parallel:
+class VirtualLinks(Exploration):
+    """One continuous flight; every leg a new virtual link is drawn, and segments are seen from other frames too.
+
+    Attributes:
+        relabel: from how many further frames each leg is seen.
+        relabel_time_s: what was seen so counts exp(-flight time / relabel_time_s) as much as what was flown.
+    """
+
+    relabel: int
+    relabel_time_s: float
+
+    def learners(self, env: Relay) -> int:
+        """Each vehicle of each world learns for itself, L = B M."""
+        return env.worlds * env.scenario.vehicles
+
+    def begin(self, hover: Trajectory) -> FlightState:
+        """The flight goes on where the hover ends."""
+        return FlightState(hover.end, 0)
+
+    def fly(self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard) -> Leg:
+        """The next leg of all vehicles."""
+        dt, leg = env.scenario.dt, flight.leg
+        draw = leg * (1 + self.relabel)
+        flown, x = self.flown(env, flight, draw, actor, recorder, guard)
+        weight = math.exp(-(leg + 1) * self.leg_s / self.relabel_time_s) if self.relabel else 0.0
+        relabelled = None
+        # Below a thousandth the relabelled windows no longer matter and are not made.
+        if weight > 1e-3:
+            poses = self.poses(env.scenario, recorder.basis.among_obstacles)
+            frames = [poses.draw(env.streams, env.scenario.vehicles, draw + k) for k in range(1, 1 + self.relabel)]
+            segments = [recorder.segment(relabel(x, pose), flown, dt) for pose in frames]
+            relabelled = Segment(*(torch.cat(parts) for parts in zip(*segments, strict=True)))
+        batch = Batch((recorder.segment(x, flown, dt), relabelled), (1.0, weight))
+        return Leg(batch, FlightState(flown.end, leg + 1), self.leg_s, contacts_while(env, flown))
+
+
+@dataclass(frozen=True)
+class Parallel(Exploration):
     """Many worlds at once, each with its own virtual link, all teaching one learner.
 
     Attributes:
         worlds: number of worlds.
-        leg_s: how long all of them fly between updates, s.
-        excitation, pose: as named.
     """
 
     worlds: int
-    leg_s: float
-    excitation: Excitation
-    pose: PoseDraw
+
+    def learners(self, env: Relay) -> int:
+        """One for all, L = 1."""
+        return 1
 
     def begin(self, hover: Trajectory) -> FlightState:
         """All worlds begin where the first vehicle's hover ends."""
-        start = hover.components[-1, :, :1, :1].expand(-1, self.worlds, 1).contiguous()
-        return FlightState(start, hover.first_step + len(hover.tau), 0)
+        first = hover.end
+        state = first.components[:, :1, :1].expand(-1, self.worlds, 1).contiguous()
+        target = first.target[:1, :1].expand(self.worlds, 1, 3)
+        return FlightState(WorldState(state, first.step[:1].expand(self.worlds).clone(), target), 0)
 
-    def fly(
-        self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard
-    ) -> Iterator[Leg]:
-        """Legs from where the flights stand; the vehicle seconds of all worlds are counted. One learner, L = 1."""
-        dt = env.scenario.dt
-        steps = round(self.leg_s / dt)
-        streams = RandomStreams(
-            env.streams.seed[:1].expand(self.worlds), torch.arange(self.worlds, device=env.streams.seed.device)
-        )
-        env = Relay(env.scenario, env.vehicle, env.channel, streams)
-        while True:
-            leg = flight.leg
-            flown, x = _fly_leg(env, flight, self.pose, leg, actor, recorder, self.excitation, guard, steps)
-            flight = FlightState.after(flown, leg + 1)
-            windows = recorder.segment(x, flown.tau.flatten(1, 2), _afloat(env, flown), dt)
-            pooled = Segment(*(part.flatten(0, 1).unsqueeze(1) for part in windows))
-            yield Leg(Experience(pooled, None, 0.0, self.worlds * self.leg_s), flight)
-
-
-def _fly_leg(
-    env: Relay,
-    flight: FlightState,
-    pose: PoseDraw,
-    draw: int,
-    actor: LinearActor,
-    recorder: Recorder,
-    excitation: Excitation,
-    guard: Guard,
-    steps: int,
-) -> tuple[Trajectory, Tensor]:
-    """One excited leg to the virtual links of a draw; also x [n + 1, L, d]."""
-    state = VehicleState(flight.components)
-    B, M = state.components.shape[1:]
-    observer = recorder.basis.observer(env, pose.frame(env, state, draw))
-    wave = excitation.draw(env.streams, M, flight.leg, steps, env.scenario.dt).to(state.components.dtype)
-    wave = wave.view(steps, B, M, 4)
-    policy = guard(env, LinearPolicy(observer, actor, recorder.trim, wave, flight.step))
-    trajectory = env.rollout(policy, state, steps, flight.step)
-    recorder.watch(env, trajectory)
-    return trajectory, observer.along(trajectory).flatten(1, 2).double()
-
-
-def _afloat(env: Relay, trajectory: Trajectory) -> Tensor:
-    """Whether a vehicle touches neither surface nor floor, [n + 1, L]."""
-    z = trajectory.components[:, 2].flatten(1)
-    return (z < 0.0) & (z > -env.scenario.depth)
+    def fly(self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard) -> Leg:
+        """The next leg of all worlds, whose vehicle seconds add up."""
+        seed = env.streams.seed
+        streams = RandomStreams(seed[:1].expand(self.worlds), torch.arange(self.worlds, device=seed.device))
+        env = env.on(env.scenario, streams)
+        flown, x = self.flown(env, flight, flight.leg, actor, recorder, guard)
+        windows = recorder.segment(x, flown, env.scenario.dt)
+        pooled = Segment(*(part.flatten(0, 1).unsqueeze(1) for part in windows))
+        after, seconds = FlightState(flown.end, flight.leg + 1), self.worlds * self.leg_s
+        return Leg(Batch((pooled,), (1.0,)), after, seconds, contacts_while(env, flown))

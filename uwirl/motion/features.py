@@ -12,8 +12,9 @@ from torch import Tensor
 from uwirl.irl.networks import Basis, LinearActor
 from uwirl.irl.solvers import Bounds
 from uwirl.motion.cost import RelayCost
+from uwirl.motion.linear_agent import LinkView, View
 from uwirl.motion.link_frame import LinkFrame
-from uwirl.motion.policy import LinkObserver, Observer
+from uwirl.world.geometry import to_body, turned_to_inertial
 from uwirl.world.relay import Relay
 
 AXES = ("surge", "sway", "heave", "yaw")
@@ -35,7 +36,12 @@ class MotionBasis(Basis, Protocol):
         """
         ...
 
-    def observer(self, env: Relay, frame: LinkFrame) -> Observer:
+    @property
+    def among_obstacles(self) -> bool:
+        """Whether it sees ways among obstacles, so that the links to learn from stand where these do."""
+        ...
+
+    def view(self, env: Relay, frame: LinkFrame) -> View:
         """Sees the basis' state x of vehicles [B, M] on their flight to links [M] or [B, M]."""
         ...
 
@@ -51,9 +57,11 @@ class MotionBasis(Basis, Protocol):
 class LinkFrameFeatures:
     """What bases have in common whose state x is xi."""
 
-    def observer(self, env: Relay, frame: LinkFrame) -> Observer:
+    among_obstacles = False
+
+    def view(self, env: Relay, frame: LinkFrame) -> View:
         """The link frames."""
-        return LinkObserver(frame)
+        return LinkView(frame)
 
     def state_cost(self, cost: RelayCost, x: Tensor) -> Tensor:
         """All of q that depends on xi alone."""
@@ -98,7 +106,7 @@ class LinkFrameBasis(LinkFrameFeatures):
         """phi2, [..., n2]."""
         u, v, w, r = xi[..., 4:].unbind(-1)
         c, s = torch.cos(xi[..., 3]), torch.sin(xi[..., 3])
-        error, velocity = xi[..., :3], torch.stack([c * u - s * v, s * u + c * v, w], -1)
+        error, velocity = xi[..., :3], turned_to_inertial(xi[..., 4:7], xi[..., 3])
         features = []
         for L in self.scales:
             g, G = self.saturated(error, L)
@@ -166,7 +174,7 @@ class ErrorBasis(LinkFrameFeatures):
     def _body_error(xi: Tensor) -> Tensor:
         along, across, up, psi = xi[..., :4].unbind(-1)
         c, s = torch.cos(psi), torch.sin(psi)
-        return torch.stack([c * along + s * across, c * across - s * along, up, torch.atan2(s, c)], -1)
+        return torch.stack([*to_body(along, across, psi), up, torch.atan2(s, c)], -1)
 
     def critic(self, xi: Tensor) -> Tensor:
         """phi2, [..., 4 or 12]."""

@@ -1,6 +1,6 @@
 """basis=geodesic: how fast along the way round obstacles is learned from flights among them, not taken from theory.
 
-Far from the goal surge and sway follow the way at the pace of `uwirl.motion.guidance`, near it the link-frame policy
+Far from the goal surge and sway follow the way at the pace of `uwirl.motion.way_law`, near it the link-frame policy
 takes over, and in between the two blend, f + n = 1 with f far and n near:
 
     tau = tau_trim + f (k F u_b + d (nu . n_b) n_b) + n W' phi_lf     surge and sway
@@ -14,8 +14,6 @@ All of it is linear in the weights k, d, w and W, so that integral reinforcement
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -24,22 +22,10 @@ from uwirl.irl.networks import LinearActor
 from uwirl.irl.solvers import Bounds
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.features import LinkFrameBasis
-from uwirl.motion.guidance import (
-    AgainstCurrent,
-    Lead,
-    glide,
-    heading_error,
-    keep_right,
-    near_share,
-    pace_cost,
-    slowed,
-)
 from uwirl.motion.link_frame import LinkFrame
-from uwirl.motion.pilot import Pilot
-from uwirl.motion.policy import LinearPolicy, LinkFramePolicy
-from uwirl.motion.route import MapSettings, Router
-from uwirl.motion.targets import ChainTargets
-from uwirl.world.relay import Relay, Trajectory
+from uwirl.motion.route_view import LearnedGeodesic, RouteView, WayState
+from uwirl.world.geometry import left_of, to_body
+from uwirl.world.relay import Relay
 from uwirl.world.vehicle import VehicleState
 
 # Of s(q) = q / sqrt(q + SOFT), which is sqrt(q) but for a slope at q = 0.
@@ -50,108 +36,6 @@ MUNK_START = 6.0
 NOMINAL_GAIN = 0.577
 
 
-class WayState(NamedTuple):
-    """The state x = [xi, way, phi, q] of the basis, [..., 12].
-
-    Attributes:
-        xi: in the frame of the goal that has the link's bearing, [..., 8].
-        way: unit vector along and across the link; zero at the goal, [..., 2].
-        phi: Phi, what is left of the way, [..., 1].
-        q: what the place costs more than the goal, link and avoidance, [..., 1].
-    """
-
-    xi: Tensor
-    way: Tensor
-    phi: Tensor
-    q: Tensor
-
-    @classmethod
-    def of(cls, x: Tensor) -> WayState:
-        return cls(*x.split([8, 2, 1, 1], -1))
-
-
-class WayObserver:
-    """Sees the way of each vehicle to its link, planned where a flight begins.
-
-    Args:
-        pilot: plans.
-        frame: the links', [M] or [B, M].
-    """
-
-    def __init__(self, pilot: Pilot, frame: LinkFrame):
-        self.pilot = pilot
-        self.bearing = frame.bearing.double()
-
-    def __call__(self, state: VehicleState, step: int) -> Tensor:
-        """x [B, M, 12]."""
-        self.pilot.update(state, step)
-        return self._see(state, step)
-
-    def along(self, trajectory: Trajectory) -> Tensor:
-        """x [n + 1, B, M, 12], with the obstacles that are known in the end."""
-        steps = trajectory.first_step + torch.arange(len(trajectory.components), device=self.bearing.device)
-        return self._see(trajectory.states, steps[:, None])
-
-    def _see(self, state: VehicleState, step: int | Tensor) -> Tensor:
-        state = VehicleState(state.components.double())
-        xi = LinkFrame(self.pilot.goal, self.bearing).relative(state)
-        x, y = keep_right(self.pilot.direction(state), state.position).unbind(-1)
-        c, s = torch.cos(self.bearing), torch.sin(self.bearing)
-        way = torch.stack([c * x + s * y, c * y - s * x], -1)
-        q = self.pilot.excess(state, step)
-        return torch.cat([xi, way, torch.stack([self.pilot.potential(state), q], -1)], -1)
-
-
-class WayPolicy(LinearPolicy):
-    """A linear policy that sees its way, and does not stand still in a current."""
-
-    observer: WayObserver
-
-    def __init__(self, observer: WayObserver, actor: LinearActor, trim: Tensor):
-        super().__init__(observer, actor, trim)
-        self.against_current = AgainstCurrent(observer.pilot)
-
-    @property
-    def blocked(self) -> Tensor:
-        """Whether no way led to the vehicle's own target when last looked for, [B, M]."""
-        return self.observer.pilot.blocked
-
-    def __call__(self, state: VehicleState, step: int) -> Tensor:
-        x = self.observer(state, step)
-        tau, seen, bearing = self.control(x, step), WayState.of(x), self.observer.bearing
-        along, across = seen.way.unbind(-1)
-        c, s = torch.cos(bearing), torch.sin(bearing)
-        way = torch.stack([c * along - s * across, s * along + c * across], -1)
-        distance = torch.linalg.vector_norm(seen.xi[..., :2], dim=-1)
-        push = self.against_current(state, self.observer.pilot.goal, way, distance)
-        return torch.cat([tau[..., :2] + push, tau[..., 2:]], -1)
-
-
-@dataclass(frozen=True)
-class LearnedGeodesic:
-    """guidance=geodesic for policies of this basis; it also finds the ways to the links that they learn from.
-
-    Attributes:
-        margin_m: clearance below which no way leads, m.
-        settings: of the maps.
-    """
-
-    margin_m: float
-    settings: MapSettings
-
-    def __call__(self, env: Relay, cost: RelayCost, targets: ChainTargets) -> Lead:
-        router = Router(env.scenario, targets.frame, cost, self.margin_m, self.settings)
-
-        def lead(policy: LinkFramePolicy) -> WayPolicy:
-            return WayPolicy(WayObserver(Pilot(env, router), policy.frame), policy.actor, policy.trim)
-
-        return lead
-
-    def observer(self, env: Relay, cost: RelayCost, frame: LinkFrame) -> WayObserver:
-        """Of one flight to links [M] or [B, M]."""
-        return WayObserver(Pilot(env, Router(env.scenario, frame, cost, self.margin_m, self.settings)), frame)
-
-
 class GeodesicBasis:
     """Features of the way, and for the last metres those of a link-frame basis.
 
@@ -160,6 +44,8 @@ class GeodesicBasis:
         length_scales_m: of the link-frame basis.
         ways: finds them.
     """
+
+    among_obstacles = True
 
     def __init__(self, cost: RelayCost, length_scales_m: Sequence[float], ways: LearnedGeodesic):
         self.cost = cost
@@ -177,10 +63,8 @@ class GeodesicBasis:
 
     def _axes(self, x: WayState) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """u_b and n_b, [..., 2], and nu along and across, [...]."""
-        c, s = torch.cos(x.xi[..., 3]), torch.sin(x.xi[..., 3])
-        along, across = x.way.unbind(-1)
-        u = torch.stack([c * along + s * across, c * across - s * along], -1)
-        n = torch.stack([-u[..., 1], u[..., 0]], -1)
+        u = torch.stack(to_body(x.way[..., 0], x.way[..., 1], x.xi[..., 3]), -1)
+        n = left_of(u)
         nu = x.xi[..., 4:6]
         return u, n, (nu * u).sum(-1), (nu * n).sum(-1)
 
@@ -198,25 +82,24 @@ class GeodesicBasis:
         seen = WayState.of(x)
         u, n, _, across = self._axes(seen)
         distance = torch.linalg.vector_norm(seen.xi[..., :2], dim=-1)
-        near = near_share(distance)[..., None]
+        law = self.ways.law
+        near = law.near_share(distance)[..., None]
         far = 1.0 - near
-        # At the goal itself there is no way.
-        effort = (self.cost.R[:2] * u.square()).sum(-1).clamp_min(torch.finfo(u.dtype).tiny)
-        force = torch.sqrt(pace_cost(seen.q[..., 0], distance) / effort)
-        along, damped = slowed(force, u)[..., None] * u, across[..., None] * n
+        force = law.drive(law.pace_cost(seen.q[..., 0], distance), self.cost.R[:2], u)
+        along, damped = law.slowed(force, u)[..., None] * u, across[..., None] * n
         # In the goal's frame, where the bearing is zero.
         state, zero = VehicleState(seen.xi.movedim(-1, 0)), torch.zeros_like(distance)
-        error = heading_error(seen.way, state, zero, NOMINAL_GAIN * force)
+        error = law.heading_error(seen.way, state, zero, NOMINAL_GAIN * force)
         surge, sway, heave, yaw = self.near.actor(seen.xi).split(self.near_sizes, -1)
         features = [far * torch.stack([along[..., 0], damped[..., 0]], -1), near * surge]
         features += [far * torch.stack([along[..., 1], damped[..., 1]], -1), near * sway]
-        features += [far * glide(state, torch.zeros_like(seen.xi[..., :3]), distance)[..., None], near * heave]
+        features += [far * law.descent(state, torch.zeros_like(seen.xi[..., :3]), distance)[..., None], near * heave]
         features += [far * torch.stack([torch.sin(error), seen.xi[..., 7]], -1), near * yaw[..., :2], yaw[..., 2:]]
         return torch.cat(features, -1)
 
-    def observer(self, env: Relay, frame: LinkFrame) -> WayObserver:
+    def view(self, env: Relay, frame: LinkFrame) -> RouteView:
         """Of one flight to links [M] or [B, M]."""
-        return self.ways.observer(env, self.cost, frame)
+        return self.ways.view(env, self.cost, frame)
 
     def state_cost(self, cost: RelayCost, x: Tensor) -> Tensor:
         """q less that of the goal, with the yaw term, [..., L]."""

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwirl.world.vehicle import VehicleState
+from uwirl.world.geometry import to_body, turned_to_inertial
+from uwirl.world.vehicle import Moving
 
 
 class LinkFrame(NamedTuple):
@@ -31,27 +32,22 @@ class LinkFrame(NamedTuple):
     bearing: Tensor
 
     @classmethod
-    def seen_as(cls, state: VehicleState, pose: Tensor) -> LinkFrame:
-        """The frame in which a vehicle at `state` has the pose (e_par, e_perp, e_z, psi~) [..., M, 4]."""
-        eta = state.eta
+    def seen_as(cls, eta: Tensor, pose: Tensor) -> LinkFrame:
+        """The frame in which a vehicle at `eta` [..., M, 4] has the pose (e_par, e_perp, e_z, psi~) [..., M, 4]."""
         bearing = eta[..., 3] - pose[..., 3]
-        c, s = torch.cos(bearing), torch.sin(bearing)
-        along, across, up, _ = pose.unbind(-1)
-        error = torch.stack([c * along - s * across, s * along + c * across, up], -1)
-        return cls(eta[..., :3] - error, bearing)
+        return cls(eta[..., :3] - turned_to_inertial(pose[..., :3], bearing), bearing)
 
     def within(self, depth: float) -> LinkFrame:
         """With the target kept off surface and floor, by a twentieth of the depth in m."""
         x, y, z = self.target.unbind(-1)
         return LinkFrame(torch.stack([x, y, z.clamp(-0.95 * depth, -0.05 * depth)], -1), self.bearing)
 
-    def relative(self, state: VehicleState) -> Tensor:
+    def relative(self, state: Moving) -> Tensor:
         """xi [..., M, 8] of a state [..., M]."""
-        x, y, z, psi, *nu = state.components
-        dx, dy = x - self.target[..., 0], y - self.target[..., 1]
-        c, s = torch.cos(self.bearing), torch.sin(self.bearing)
-        pose = c * dx + s * dy, c * dy - s * dx, z - self.target[..., 2], psi - self.bearing
-        return torch.stack([*pose, *nu], -1)
+        x, y, z, psi = state.eta.unbind(-1)
+        along, across = to_body(x - self.target[..., 0], y - self.target[..., 1], self.bearing)
+        pose = along, across, z - self.target[..., 2], psi - self.bearing
+        return torch.stack([*pose, *state.nu.unbind(-1)], -1)
 
 
 def relabel(xi: Tensor, pose: Tensor) -> Tensor:
@@ -67,6 +63,7 @@ def relabel(xi: Tensor, pose: Tensor) -> Tensor:
     moved = xi[..., :4] - xi[:1, ..., :4]
     turn = pose[..., 3] - xi[0, ..., 3]
     c, s = torch.cos(turn), torch.sin(turn)
+    # Summed in this order, and not by `to_inertial`, to the last bit as what was learned before.
     along = pose[..., 0] + c * moved[..., 0] - s * moved[..., 1]
     across = pose[..., 1] + s * moved[..., 0] + c * moved[..., 1]
     return torch.cat(

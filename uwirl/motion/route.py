@@ -13,7 +13,8 @@ and the vehicle is `blocked`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -45,8 +46,7 @@ def link_cost(frame: LinkFrame, cost: RelayCost, position: Tensor) -> Tensor:
     return cost.link(frame.relative(VehicleState.from_eta_nu(eta))).clamp_min(0.0)
 
 
-@dataclass(frozen=True)
-class Ways:
+class RoutePlan(NamedTuple):
     """Where K vehicles are to go, and along what.
 
     Attributes:
@@ -61,11 +61,12 @@ class Ways:
     blocked: Tensor
     map: GridMap
 
-    def put(self, index: Tensor, others: Ways) -> None:
-        """Replace the ways at index [K'], in place."""
-        for name in ("goal", "rest_cost", "blocked"):
-            getattr(self, name)[index] = getattr(others, name)
-        self.map.put(index, others.map)
+    def replaced(self, index: Tensor, others: RoutePlan) -> RoutePlan:
+        """With other plans at index [K']; these stay as they are."""
+        goal, rest_cost, blocked = (
+            old.index_copy(0, index, new) for old, new in zip(self[:3], others[:3], strict=True)
+        )
+        return RoutePlan(goal, rest_cost, blocked, self.map.replaced(index, others.map))
 
 
 @dataclass(frozen=True)
@@ -110,25 +111,25 @@ class Router:
         places = _at_depth(self.plane[:, None].expand(-1, self.targets, 2), self.frame.target)
         self.link = link_cost(self.frame, self.cost, places).T
 
-    def plan(self, vehicle: Tensor, position: Tensor, obstacles: Obstacles, time: float) -> Ways:
-        """Ways of some vehicles, as far as they know the obstacles.
+    def plan(self, vehicle: Tensor, position: Tensor, obstacles: Obstacles, time: Tensor) -> RoutePlan:
+        """Plans of some vehicles, as far as they know the obstacles.
 
         Args:
             vehicle: their numbers among the B M, [K].
             position: horizontally, [K, 2], m.
             obstacles: those that each knows, fields [K, O].
-            time: s.
+            time: of each, [K], s.
         """
-        now = replace(obstacles, centre=obstacles.centre + obstacles.velocity * time)
+        now = obstacles._replace(centre=obstacles.centre + obstacles.velocity * time[:, None, None])
         row = vehicle % self.targets
         batches = torch.arange(len(vehicle), device=vehicle.device).split(BATCH)
         parts = [self._plan(row[k], position[k].double(), now.worlds(k)) for k in batches]
         goal, rest_cost, blocked = (
             torch.cat([getattr(part, name) for part in parts]) for name in ("goal", "rest_cost", "blocked")
         )
-        return Ways(goal, rest_cost, blocked, GridMap.stack([part.map for part in parts]))
+        return RoutePlan(goal, rest_cost, blocked, GridMap.stack([part.map for part in parts]))
 
-    def _plan(self, row: Tensor, position: Tensor, obstacles: Obstacles) -> Ways:
+    def _plan(self, row: Tensor, position: Tensor, obstacles: Obstacles) -> RoutePlan:
         goal = self._goal(row, obstacles)
         clearance, avoidance = self._around(self.plane.expand(len(row), -1, 2), obstacles, position)
         q = self.link[row] + avoidance
@@ -147,7 +148,7 @@ class Router:
         wall = 5.0 * torch.where(hard, 0.0, w).amax(-1, keepdim=True)
         w = torch.where(hard, wall * (1.0 + 4.0 * (self.settings.hard_clearance_m - clearance)), w)
         route = solve_eikonal(w.view(-1, *self.shape), self.origin, self.settings.spacing_m, goal[:, :2])
-        return Ways(goal, rest_cost, blocked, route)
+        return RoutePlan(goal, rest_cost, blocked, route)
 
     def _goal(self, row: Tensor, obstacles: Obstacles) -> Tensor:
         """The place of least q near each target, [K, 3]; the target itself where no influence reaches it."""
@@ -185,7 +186,7 @@ class Router:
             obstacles: of K worlds.
             start: where each vehicle sets out, [K, 2]: obstacles then are where it meets them; None for where they are.
         """
-        if obstacles.count == 0:
+        if obstacles.number == 0:
             return places.new_full(places.shape[:-1], torch.inf), places.new_zeros(places.shape[:-1])
         time: Tensor | float = 0.0
         if start is not None and bool(obstacles.velocity.any()):
@@ -195,7 +196,7 @@ class Router:
         each = obstacles.each(lambda field: field[:, None])
         l = each.distance(places[:, :, None], time)[..., 0, :]
         gap = (l - each.radius).amin(-1) - self.radius
-        return gap, self.cost.beta_2 * self.cost.avoidance(l, each.influence)
+        return gap, self.cost.weights.beta_2 * self.cost.weights.avoidance(l, each.influence)
 
 
 def _extent(scenario: Scenario, frame: LinkFrame, spacing: float) -> tuple[Tensor, list[int]]:

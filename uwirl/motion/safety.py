@@ -1,4 +1,4 @@
-"""The guard between a policy and the thrusters: the last line against obstacles and vehicles, also while learning.
+"""The guard between an agent and the thrusters: the last line against obstacles and vehicles, also while learning.
 
 For a clearance d that changes no faster than the vehicle moves (any union of shapes),
 
@@ -17,19 +17,14 @@ and how fast. Nothing of the dynamics is used but the bounds.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from uwirl.motion.policy import Policy
-from uwirl.world.relay import Relay
-from uwirl.world.vehicle import VehicleState
-
-# Wraps a policy.
-Guard = Callable[[Relay, Policy], Policy]
+from uwirl.world.geometry import turned_to_body
+from uwirl.world.observation import Observation
 
 PROJECTIONS = 3
 # Time in which a full brake would have a lost h back, in steps.
@@ -52,9 +47,14 @@ class Neighbours(NamedTuple):
     axes: Tensor
 
 
-def unguarded(env: Relay, policy: Policy) -> Policy:
+def unguarded(tau: Tensor, observation: Observation) -> Tensor:
     """safety=none."""
-    return policy
+    return tau
+
+
+def nothing_near(observation: Observation) -> bool:
+    """Whether there is nothing in the water that could be hit."""
+    return observation.obstacles.number == 0 and observation.eta.shape[-2] == 1
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,9 @@ class EnergyGuard:
         mass_upper_kg: m_bar, at least the inertia in surge and sway, and in heave where there are several vehicles, kg.
         mass_lower_kg: m_lo, at most that inertia, kg.
         brake_force_N: tau_b, at most the thrust on these axes less any disturbance, N.
+        tau_max: thruster limits, [4].
+        dt: time for which a control is held, s.
+        vehicle_radius: m.
     """
 
     margin_m: float
@@ -76,51 +79,46 @@ class EnergyGuard:
     mass_upper_kg: float
     mass_lower_kg: float
     brake_force_N: float
+    tau_max: Tensor
+    dt: float
+    vehicle_radius: float
 
-    def __call__(self, env: Relay, policy: Policy) -> Policy:
-        """The policy, with its forces changed as little as safety asks for."""
-        scenario, vehicle = env.scenario, env.vehicle
-        if scenario.obstacles.count == 0 and scenario.vehicles == 1:
-            return policy
+    def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
+        """tau [B, M, 4], with its forces changed as little as safety asks for."""
+        if nothing_near(observation):
+            return tau
+        tau = torch.maximum(torch.minimum(tau, self.tau_max), -self.tau_max)
+        groups = []
+        if observation.obstacles.number:
+            groups.append(self._obstacles(observation))
+        if observation.eta.shape[-2] > 1:
+            groups.append(self._vehicles(observation))
+        return torch.cat([self.filter(tau[..., :3], groups), tau[..., 3:]], -1)
 
-        def guarded(state: VehicleState, step: int) -> Tensor:
-            tau = vehicle.saturate(policy(state, step))
-            groups = []
-            if scenario.obstacles.count:
-                groups.append(self._obstacles(env, state, step * scenario.dt))
-            if scenario.vehicles > 1:
-                groups.append(self._vehicles(state))
-            force = tau[..., :3]
-            safe = self.filter(force, groups, vehicle.tau_max[:3], scenario.dt)
-            return torch.cat([safe, tau[..., 3:]], -1)
-
-        return guarded
-
-    def _obstacles(self, env: Relay, state: VehicleState, time: float) -> tuple[Neighbours, Tensor]:
-        """Obstacles within the detection range, and h."""
-        near = obstacle_neighbours(env, state, time)
+    def _obstacles(self, observation: Observation) -> tuple[Neighbours, Tensor]:
+        """Obstacles that are detected, and h."""
+        near = obstacle_neighbours(observation, self.vehicle_radius)
         near = near._replace(clearance=near.clearance - self.margin_m)
         return near, near.clearance - self._braking_distance(near.nu.square().sum(-1))
 
-    def _vehicles(self, state: VehicleState) -> tuple[Neighbours, Tensor]:
+    def _vehicles(self, observation: Observation) -> tuple[Neighbours, Tensor]:
         """The other vehicles of the same world, and the half of h that is this vehicle's to keep."""
-        near = vehicle_neighbours(state)
+        near = vehicle_neighbours(observation)
         near = near._replace(clearance=near.clearance - self.separation_m)
-        square = state.nu[..., :3].square().sum(-1)
-        h = near.clearance - self._braking_distance(square[..., :, None] + square[..., None, :])
+        own = observation.nu[..., :3].square().sum(-1)
+        others = observation.messages.nu[..., :3].square().sum(-1)
+        h = near.clearance - self._braking_distance(own[..., :, None] + others)
         return near, 0.5 * h
 
     def _braking_distance(self, speed_squared: Tensor) -> Tensor:
         return self.mass_upper_kg * speed_squared / (2.0 * self.brake_force_N)
 
-    def filter(self, force: Tensor, groups: list[tuple[Neighbours, Tensor]], force_max: Tensor, dt: float) -> Tensor:
+    def filter(self, force: Tensor, groups: list[tuple[Neighbours, Tensor]]) -> Tensor:
         """The admissible force nearest to the wanted one, up to three projections; failing that, full braking.
 
         Args:
             force: wanted surge, sway and heave force, within the limits, [B, M, 3], N.
             groups: what to keep clear of, each with its share of h [B, M, C], m.
-            force_max: [3], N.
-            dt: time for which the force is held, s.
 
         Returns:
             [B, M, 3], N.
@@ -128,6 +126,7 @@ class EnergyGuard:
         n, nu = (torch.cat([getattr(near, name) for near, _ in groups], -2) for name in ("n", "nu"))
         axes = torch.cat([near.axes for near, _ in groups])
         h = torch.cat([h for _, h in groups], -1)
+        force_max, dt = self.tau_max[:3], self.dt
         beta = dt / (2.0 * self.mass_lower_kg)
         drift = nu - self.brake_force_N * beta * n
         centre = -drift / (2.0 * beta)
@@ -156,38 +155,29 @@ class EnergyGuard:
         return torch.where(violated > 0.5, braking, safe)
 
 
-def obstacle_neighbours(env: Relay, state: VehicleState, time: float) -> Neighbours:
+def obstacle_neighbours(observation: Observation, vehicle_radius: float) -> Neighbours:
     """Obstacles that the vehicles detect, with the clearance between hulls."""
-    scenario, obstacles = env.scenario, env.scenario.obstacles
-    offset = obstacles.offset(state.position, time)
-    gap = obstacles.clearance(state.position, scenario.vehicle_radius, time)
-    gap = torch.where(gap <= scenario.detection_range, gap, torch.inf)
-    n = offset / torch.linalg.vector_norm(offset, dim=-1, keepdim=True).clamp_min(1e-9)
-    velocity = obstacles.velocity[..., None, :, :].expand_as(offset)
-    relative = state.nu[..., None, :2] - _horizontal_to_body(velocity, state)
-    axes = offset.new_tensor([1.0, 1.0, 0.0]).expand(obstacles.count, 3)
-    return Neighbours(_lift(_horizontal_to_body(n, state)), _lift(relative), gap, axes)
+    obstacles, psi = observation.obstacles, observation.eta[..., 3, None]
+    # Each vehicle has obstacles of its own, as a world of one vehicle has.
+    offset = obstacles.offset(observation.position[..., None, :], observation.time[:, None])[..., 0, :, :]
+    l = torch.linalg.vector_norm(offset, dim=-1)
+    gap = torch.where(obstacles.present, l, torch.inf) - obstacles.radius - vehicle_radius
+    n = offset / l[..., None].clamp_min(1e-9)
+    relative = observation.nu[..., None, :2] - turned_to_body(obstacles.velocity, psi)
+    axes = offset.new_tensor([1.0, 1.0, 0.0]).expand(obstacles.number, 3)
+    return Neighbours(_lift(turned_to_body(n, psi)), _lift(relative), gap, axes)
 
 
-def vehicle_neighbours(state: VehicleState) -> Neighbours:
+def vehicle_neighbours(observation: Observation) -> Neighbours:
     """The other vehicles of the same world, with the distance between centres; none is its own neighbour."""
-    position = state.position
-    offset = position[..., :, None, :] - position[..., None, :, :]
-    M = position.shape[-2]
+    position = observation.position
+    offset = position[..., :, None, :] - observation.messages.eta[..., :3]
     distance = torch.linalg.vector_norm(offset, dim=-1)
-    itself = torch.eye(M, dtype=torch.bool, device=position.device)
+    itself = torch.eye(position.shape[-2], dtype=torch.bool, device=position.device)
     n = offset / distance[..., None].clamp_min(1e-9)
-    turned = torch.cat([_horizontal_to_body(n[..., :2], state), n[..., 2:]], -1)
-    nu = state.nu[..., None, :3].expand_as(turned)
+    turned = turned_to_body(n, observation.eta[..., 3, None])
+    nu = observation.nu[..., None, :3].expand_as(turned)
     return Neighbours(turned, nu, distance.masked_fill(itself, torch.inf), torch.ones_like(offset[0, 0, :, :]))
-
-
-def _horizontal_to_body(vector: Tensor, state: VehicleState) -> Tensor:
-    """Horizontal vectors [B, M, C, 2] of the inertial frame in the vehicles' body axes."""
-    psi = state.eta[..., 3, None]
-    c, s = torch.cos(psi), torch.sin(psi)
-    x, y = vector.unbind(-1)
-    return torch.stack([c * x + s * y, c * y - s * x], -1)
 
 
 def _lift(horizontal: Tensor) -> Tensor:

@@ -25,7 +25,7 @@ from uwirl.runs.saving import Checkpoints, Origin
 from uwirl.runs.summary import table
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.estimators import estimate_each_vehicle
-from uwirl.snr.measurements import Readings, readings_of_each_vehicle
+from uwirl.world.messages import Readings, readings_of_each_vehicle
 from uwirl.study import run_folder, shadowing
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.tensorboard import TensorBoard

@@ -17,7 +17,7 @@ from uwirl.runs.judge import Judge
 from uwirl.runs.layouts import campaign
 from uwirl.runs.recorded import recorded
 from uwirl.runs.summary import table
-from uwirl.snr.measurements import readings_of_each_vehicle
+from uwirl.world.messages import readings_of_each_vehicle
 from uwirl.study import checkpoint, run_folder, shadowing
 from uwirl.study.learning_file import load, take_estimate, take_trim, take_weights
 

@@ -14,9 +14,9 @@ from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.planner import IrlPlanner, Planner
 from uwirl.snr.diagnostics import Diagnostics
 from uwirl.snr.estimate import ChannelEstimate
-from uwirl.snr.measurements import Readings
+from uwirl.world.messages import Readings
 from uwirl.study.evaluation import Evaluation
-from uwirl.study.shadowing import Messages
+from uwirl.study.shadowing import LinksAtMessages
 from uwirl.study.snr_map import SnrMap
 from uwirl.world.relay import Relay
 
@@ -28,7 +28,7 @@ def mission(
     folder: Path,
     env: Relay,
     evaluation: Evaluation,
-    messages: Messages,
+    messages: LinksAtMessages,
     records: Sequence[IterationRecord],
     planner: Planner,
 ) -> Path | None:

@@ -19,9 +19,9 @@ from uwirl.runs.recorded import recorded
 from uwirl.snr.diagnostics import Diagnostics, diagnose
 from uwirl.snr.kriging import Kriging
 from uwirl.snr.log import Log, LogError, read_log
-from uwirl.snr.measurements import Readings
+from uwirl.world.messages import Readings
 from uwirl.snr.model import UnidentifiableError, observations
-from uwirl.snr.screening import screen
+from uwirl.snr.outliers import reject_outliers
 from uwirl.study import estimate_report, run_folder
 from uwirl.study.snr_map import Grid, SnrMap, make_grid, make_map
 from uwirl.study.whole_files import write_arrays

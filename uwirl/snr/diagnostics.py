@@ -17,9 +17,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwirl.snr.measurements import Readings
+from uwirl.world.messages import Readings
 from uwirl.world.acoustics import Channel
-from uwirl.world.fading import distances
+from uwirl.world.geometry import distances
 
 BINS = 20
 # Pairs farther apart than this share of the longest distance are few and all alike.
@@ -133,7 +133,7 @@ def diagnose(readings: Readings, channel: Channel) -> Diagnostics:
     transmitter, receiver = heard.nonzero().unbind(-1)
     first, second = readings.transmitters[transmitter], readings.receivers[receiver]
     length = torch.linalg.vector_norm(first - second, dim=-1)
-    y = readings.snr[0][heard] + channel.known_loss_dB(length)
+    y = readings.snr[0][heard] + channel.budget.known_loss_dB(length)
     H = torch.stack([torch.ones_like(length), -10.0 * torch.log10(length)], -1)
     zeta2, varphi, rho2 = (torch.as_tensor(x, dtype=y.dtype, device=y.device).reshape(()) for x in _fading(channel))
     apart = distances(first, first) + distances(second, second)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from uwirl.world.acoustics import Channel
+from uwirl.world.acoustics import Channel, LinkBudget
 
 NAMES = ("K_dB", "n", "zeta2", "varphi_m", "rho2")
 _TENSORS = ("value", "covariance", "identifiable", "cost")
@@ -33,7 +33,7 @@ class ChannelEstimate:
     """Estimates of the channel from B data sets, of one vehicle each.
 
     Attributes:
-        known: what was known of the channel.
+        budget: what was known beforehand.
         value: K (dB), n, zeta^2 (dB^2), varphi (m), rho^2 (dB^2), [B, 5].
         covariance: of K, n and the logarithms of the other three, [B, 5, 5].
         identifiable: which of them the readings tell, bool [B, 5].
@@ -41,7 +41,7 @@ class ChannelEstimate:
         evaluations: of the cost.
     """
 
-    known: Channel
+    budget: LinkBudget
     value: Tensor
     covariance: Tensor
     identifiable: Tensor
@@ -67,18 +67,18 @@ class ChannelEstimate:
         Shadowing that cannot be told from multipath counts as such.
         """
         K, n, zeta2, varphi, rho2 = self.value.unbind(-1)
-        told = self.identifiable[:, 2] & self.identifiable[:, 3]
-        zeta, rho = torch.where(told, zeta2, 0.0).sqrt(), torch.where(told, rho2, zeta2 + rho2).sqrt()
-        return replace(self.known, K_dB=K, n=n, zeta_dB=zeta, varphi_m=varphi, rho_dB=rho)
+        separable = self.identifiable[:, 2] & self.identifiable[:, 3]
+        zeta, rho = torch.where(separable, zeta2, 0.0).sqrt(), torch.where(separable, rho2, zeta2 + rho2).sqrt()
+        return Channel(self.budget, K_dB=K, n=n, zeta_dB=zeta, varphi_m=varphi, rho_dB=rho)
 
     def state_dict(self) -> dict[str, Any]:
         """All but what was known before, as tensors and a number."""
         return {name: getattr(self, name) for name in _TENSORS} | {"evaluations": self.evaluations}
 
     @classmethod
-    def from_state(cls, state: dict[str, Any], known: Channel) -> ChannelEstimate:
-        """What `state_dict` told, and what is known of a channel."""
-        return cls(known=known, **state)
+    def from_state(cls, state: dict[str, Any], budget: LinkBudget) -> ChannelEstimate:
+        """What `state_dict` told, and what is known beforehand."""
+        return cls(budget=budget, **state)
 
     def select(self, rows: Tensor) -> ChannelEstimate:
         """Those of some data sets, by a mask or numbers."""

@@ -1,4 +1,4 @@
-"""Estimators of the channel from readings; one interface, `estimate(readings, known) -> ChannelEstimate`.
+"""Estimators of the channel from readings; one interface, `estimate(readings, budget) -> ChannelEstimate`.
 
 Each takes B data sets read at the same places, of which any readings may be missing.
 """
@@ -6,6 +6,7 @@ Each takes B data sets read at the same places, of which any readings may be mis
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import torch
@@ -15,14 +16,14 @@ from uwirl.snr import likelihood
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.information import Derivatives
 from uwirl.snr.likelihood import MAX_ENTRIES, ordinary
-from uwirl.snr.measurements import Readings, readings_of_each_vehicle
+from uwirl.world.messages import Readings, readings_of_each_vehicle
 from uwirl.snr.model import Fading, Geometry, Spectrum, generalized_least_squares, observations
 from uwirl.snr.moments import moment_fit
-from uwirl.world.acoustics import Channel
+from uwirl.world.acoustics import Channel, LinkBudget
 from uwirl.world.relay import Relay
 
-# Of a logarithm over all fading that the readings allow: beyond a factor of two either way nothing is told.
-TOLD = 0.75
+# Of a logarithm over all fading that the readings allow: beyond a factor of two either way nothing is identifiable.
+SEPARABLE = 0.75
 # `separate` stops when theta moves less than this many of its standard errors, or after so many rounds.
 SETTLED, ROUNDS = 1e-3, 20
 
@@ -32,19 +33,19 @@ class Estimator(Protocol):
 
     Args:
         readings: B data sets.
-        known: the channel, of which only what a vehicle knows beforehand (N0, bandwidth, absorption) may be used.
+        budget: what a vehicle knows beforehand (N0, bandwidth, absorption).
 
     Raises:
         UnidentifiableError: fewer than three readings, or all over one distance.
     """
 
-    def __call__(self, readings: Readings, known: Channel) -> ChannelEstimate: ...
+    def __call__(self, readings: Readings, budget: LinkBudget) -> ChannelEstimate: ...
 
 
 def estimate_each_vehicle(env: Relay, estimator: Estimator) -> tuple[list[Readings], ChannelEstimate]:
     """Stage 1 in the first world: each vehicle's readings, and what it estimates from them, [M] data sets."""
     readings = readings_of_each_vehicle(env)
-    return readings, ChannelEstimate.join([estimator(data, env.channel) for data in readings])
+    return readings, ChannelEstimate.join([estimator(data, env.budget) for data in readings])
 
 
 class Solution(NamedTuple):
@@ -56,7 +57,7 @@ class Solution(NamedTuple):
         fading: [b] each.
         fading_covariance: of the logarithms, [b, 3, 3].
         cost: negative log likelihood less m/2 ln(2 pi), [b].
-        told: whether the readings tell the fading, bool [b, 3].
+        identifiable: which parameters of the fading the readings determine, bool [b, 3].
         evaluations: of the cost.
     """
 
@@ -65,33 +66,33 @@ class Solution(NamedTuple):
     fading: Fading
     fading_covariance: Tensor
     cost: Tensor
-    told: Tensor
+    identifiable: Tensor
     evaluations: int
 
 
 def _estimator(solve: Callable[[Tensor, Geometry], Solution]) -> Estimator:
     """From a function of complete observations [b, S, N] and their geometry."""
 
-    def estimate(readings: Readings, known: Channel) -> ChannelEstimate:
+    def estimate(readings: Readings, budget: LinkBudget) -> ChannelEstimate:
         rows, parts = [], []
-        for group, y, geometry in observations(readings, known):
+        for group, y, geometry in observations(readings, budget):
             # Covariance matrices of all data sets of a chunk live at once.
             chunk = max(1, MAX_ENTRIES // (geometry.spacing.numel() + geometry.apart.numel() + geometry.readings))
             rows.append(group)
-            parts += [_channel_estimate(solve(part, geometry), known) for part in y.split(chunk)]
+            parts += [_channel_estimate(solve(part, geometry), budget) for part in y.split(chunk)]
         return ChannelEstimate.join(parts).select(torch.cat(rows).argsort())
 
     return estimate
 
 
-def _channel_estimate(solution: Solution, known: Channel) -> ChannelEstimate:
+def _channel_estimate(solution: Solution, budget: LinkBudget) -> ChannelEstimate:
     covariance = solution.theta.new_zeros(len(solution.theta), 5, 5)
     covariance[:, :2, :2], covariance[:, 2:, 2:] = solution.theta_covariance, solution.fading_covariance
     return ChannelEstimate(
-        known=known,
+        budget=budget,
         value=torch.cat([solution.theta, torch.stack(list(solution.fading), -1)], -1),
         covariance=covariance,
-        identifiable=torch.cat([torch.ones_like(solution.told[:, :2]), solution.told], -1),
+        identifiable=torch.cat([torch.ones_like(solution.identifiable[:, :2]), solution.identifiable], -1),
         cost=solution.cost,
         evaluations=solution.evaluations,
     )
@@ -111,7 +112,7 @@ def _judged(y: Tensor, geometry: Geometry, theta: Tensor, covariance: Tensor, fa
     bound = torch.linalg.pinv(derivatives.information(), hermitian=True)
     profile = likelihood.profile(residual, geometry)
     _, spread = likelihood.averaged(profile, torch.zeros_like(theta), geometry.readings)
-    return Solution(theta, covariance, fading, bound, cost, spread < TOLD, rounds)
+    return Solution(theta, covariance, fading, bound, cost, spread < SEPARABLE, rounds)
 
 
 def _least_squares(y: Tensor, geometry: Geometry) -> Solution:
@@ -158,8 +159,8 @@ def _maximum_likelihood(y: Tensor, geometry: Geometry) -> Solution:
     fit = likelihood.fit(y, geometry)
     fading = Fading(*fit.log_fading.exp().unbind(-1))
     bound = torch.linalg.pinv(fit.information, hermitian=True)
-    told = fit.spread < TOLD
-    return Solution(fit.theta, fit.theta_covariance, fading, bound, fit.cost, told, fit.evaluations)
+    identifiable = fit.spread < SEPARABLE
+    return Solution(fit.theta, fit.theta_covariance, fading, bound, fit.cost, identifiable, fit.evaluations)
 
 
 def _disk(y: Tensor, geometry: Geometry) -> Solution:
@@ -170,23 +171,34 @@ def _disk(y: Tensor, geometry: Geometry) -> Solution:
     none, any_distance = torch.zeros_like(power), torch.ones_like(power)
     relative = torch.diag_embed(torch.stack([none, none, torch.full_like(none, 2.0 / (geometry.readings - 1))], -1))
     cost = 0.5 * (geometry.readings * power.log() + geometry.readings - 1)
-    told = torch.tensor([False, False, True], device=y.device).expand(len(y), 3)
-    return Solution(theta, covariance, Fading(none, any_distance, power), relative, cost, told, 1)
+    identifiable = torch.tensor([False, False, True], device=y.device).expand(len(y), 3)
+    return Solution(theta, covariance, Fading(none, any_distance, power), relative, cost, identifiable, 1)
 
 
-def disk(readings: Readings, known: Channel) -> ChannelEstimate:
+def disk(readings: Readings, budget: LinkBudget) -> ChannelEstimate:
     """One SNR wherever something is heard, whatever the distance: what the paper argues against."""
-    estimate = _estimator(_disk)(readings, known)
+    estimate = _estimator(_disk)(readings, budget)
     estimate.identifiable[:, 1] = False
     return estimate
 
 
-def oracle(readings: Readings, known: Channel) -> ChannelEstimate:
-    """The truth, for ablations."""
-    truth = [known.K_dB, known.n, known.zeta_dB**2, known.varphi_m, known.rho_dB**2]
-    value = torch.tensor(truth, dtype=torch.float64, device=readings.snr.device).repeat(len(readings.snr), 1)
-    nothing = torch.zeros_like(value[:, 0])
-    return ChannelEstimate(known, value, value.new_zeros(len(value), 5, 5), value > -torch.inf, nothing, 0)
+@dataclass(frozen=True)
+class Oracle:
+    """The truth, for ablations: the only estimator that is told it.
+
+    Attributes:
+        channel: the true one.
+    """
+
+    channel: Channel
+
+    def __call__(self, readings: Readings, budget: LinkBudget) -> ChannelEstimate:
+        """The same for every data set."""
+        channel = self.channel
+        truth = [channel.K_dB, channel.n, channel.zeta_dB**2, channel.varphi_m, channel.rho_dB**2]
+        value = torch.tensor(truth, dtype=torch.float64, device=readings.snr.device).repeat(len(readings.snr), 1)
+        nothing = torch.zeros_like(value[:, 0])
+        return ChannelEstimate(budget, value, value.new_zeros(len(value), 5, 5), value > -torch.inf, nothing, 0)
 
 
 # Ordinary least squares, then moments: [29].
@@ -203,5 +215,4 @@ ESTIMATORS: dict[str, Estimator] = {
     "separate": separate,
     "maximum_likelihood": maximum_likelihood,
     "disk": disk,
-    "oracle": oracle,
 }

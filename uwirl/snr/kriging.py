@@ -14,10 +14,10 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from uwirl.snr.measurements import Readings
+from uwirl.world.messages import Readings
 from uwirl.snr.model import NOISELESS
 from uwirl.world.acoustics import Channel
-from uwirl.world.fading import distances
+from uwirl.world.geometry import distances
 
 # Beyond, the covariance of the readings alone takes more than 0.8 GB, and its factor as much.
 MAX_READINGS = 10_000
@@ -57,7 +57,7 @@ class Kriging:
         omega.diagonal().add_(self.rho2.clamp_min(NOISELESS))
         self.factor = torch.linalg.cholesky(omega)
         H = _design(distance)
-        y = readings.snr[0][heard] + channel.known_loss_dB(distance)
+        y = readings.snr[0][heard] + channel.budget.known_loss_dB(distance)
         # L^-1 of the residual and of H, [m, 3], with Omega = L L'.
         residual = (y - H @ self.theta)[:, None]
         self.whitened = torch.linalg.solve_triangular(self.factor, torch.cat([residual, H], -1), upper=False)
@@ -97,7 +97,7 @@ class Kriging:
         """h' theta - epsilon, [Q], and h, [Q, 2]."""
         distance = torch.linalg.vector_norm(first - second, dim=-1)
         h = _design(distance)
-        return h @ self.theta - self.channel.known_loss_dB(distance), h
+        return h @ self.theta - self.channel.budget.known_loss_dB(distance), h
 
     def _predict(self, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
         (trend, h), k = self._trend(first, second), self._covariance(first, second)

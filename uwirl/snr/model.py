@@ -16,9 +16,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwirl.snr.measurements import Readings
-from uwirl.world.acoustics import Channel
-from uwirl.world.fading import distances
+from uwirl.world.messages import Readings
+from uwirl.world.acoustics import LinkBudget
+from uwirl.world.geometry import distances
 
 # Power that counts as none, dB^2: logarithms and factorisations need some.
 NOISELESS = 1e-18
@@ -105,7 +105,7 @@ class Spectrum(NamedTuple):
         return torch.stack([self.rotate(column) for column in H.unbind(-1)], -1)
 
 
-def observations(readings: Readings, known: Channel) -> Iterator[tuple[Tensor, Tensor, Geometry]]:
+def observations(readings: Readings, budget: LinkBudget) -> Iterator[tuple[Tensor, Tensor, Geometry]]:
     """Data sets of which the same readings are there: their numbers [b], Y + epsilon [b, S, N] and their geometry.
 
     Raises:
@@ -114,7 +114,7 @@ def observations(readings: Readings, known: Channel) -> Iterator[tuple[Tensor, T
     distance = readings.distance
     log_distance = -10.0 * torch.log10(distance)
     H = torch.stack([torch.ones_like(log_distance), log_distance], -1)
-    y = readings.snr + known.known_loss_dB(distance)
+    y = readings.snr + budget.known_loss_dB(distance)
     heard = ~readings.snr.isnan()
     if not distance.numel():
         raise UnidentifiableError("nothing was heard: no sensor is within scenario.hearing_range_m")

@@ -1,4 +1,4 @@
-"""A policy in many random layouts: who arrived, who touched what, and how sure one can be."""
+"""An agent in many random layouts: who arrived, who touched what, and how sure one can be."""
 
 from __future__ import annotations
 
@@ -10,11 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from uwirl.motion.cost import RelayCost
-from uwirl.motion.policy import Policy
-from uwirl.motion.safety import Guard
-from uwirl.motion.targets import ChainTargets
-from uwirl.study.evaluation import Evaluation, evaluate
+from uwirl.study.evaluation import Evaluation, Evaluator
+from uwirl.world.agent import Agent
 from uwirl.world.layouts import KINDS, Layouts
 from uwirl.world.obstacles import contacts
 from uwirl.world.relay import Relay
@@ -116,10 +113,8 @@ class Outcomes:
 def fly(
     env: Relay,
     layouts: Layouts,
-    policy_in: Callable[[Relay], Policy],
-    cost: RelayCost,
-    targets: ChainTargets,
-    guard: Guard,
+    agent_in: Callable[[Relay], Agent],
+    evaluator: Evaluator,
     batch: int,
     watch: Callable[[Relay, Evaluation], None] = lambda env, evaluation: None,
 ) -> Outcomes:
@@ -128,18 +123,17 @@ def fly(
     Args:
         env: with the layouts' random streams; its scenario is what they have in common.
         layouts: N.
-        policy_in: the policy for some of the worlds.
-        cost, targets: on the true channel.
-        guard: between policy and thrusters.
+        agent_in: the agent for some of the worlds.
+        evaluator: of the environment.
         batch: worlds flown together.
         watch: told of every batch as soon as it is flown.
     """
     common = replace(env.scenario, start=layouts.start, obstacles=layouts.obstacles)
-    everywhere = Relay(common, env.vehicle, env.channel, env.streams)
+    everywhere = env.on(common, env.streams)
     parts = []
     for rows in torch.arange(len(layouts.kind), device=layouts.kind.device).split(batch):
         worlds = everywhere.select(rows)
-        evaluation = evaluate(worlds, policy_in(worlds), cost, targets, worlds.reset(), guard)
+        evaluation = evaluator.in_worlds(worlds).fly(agent_in(worlds))
         watch(worlds, evaluation)
         t99 = [evaluation.time_to_99_percent(k) for k in range(len(rows))]
         separation = [evaluation.separation(k) for k in range(len(rows))]
@@ -153,8 +147,8 @@ def fly(
                 "cost": evaluation.cost,
             }
         )
-    room = env.scenario.vehicle_radius + getattr(guard, "margin_m", 0.0)
-    verdicts = [layouts.feasible(targets.frame.target, room + d) for d in (0.0, AMBIGUITY, -AMBIGUITY)]
+    room = env.scenario.vehicle_radius + getattr(evaluator.guard, "margin_m", 0.0)
+    verdicts = [layouts.feasible(evaluator.mission.targets.frame.target, room + d) for d in (0.0, AMBIGUITY, -AMBIGUITY)]
     joined = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
     return Outcomes(layouts.kind, verdicts[0], verdicts[1] != verdicts[2], **joined)
 

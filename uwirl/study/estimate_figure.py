@@ -17,7 +17,7 @@ from matplotlib.ticker import LogFormatter, MaxNLocator
 from uwirl.snr.diagnostics import Diagnostics
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.intervals import student_t
-from uwirl.snr.measurements import Readings
+from uwirl.world.messages import Readings
 from uwirl.study.snr_map import SnrMap
 
 # Told apart by the colour-blind (Okabe and Ito).

@@ -1,4 +1,4 @@
-"""What a policy is worth: fly it on the true channel and measure."""
+"""What an agent is worth: fly it on the true channel and measure."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from uwirl.irl.networks import LinearActor
-from uwirl.motion.cost import RelayCost
-from uwirl.motion.guidance import Lead, go_straight
-from uwirl.motion.policy import LinkFramePolicy, Policy
-from uwirl.motion.safety import Guard, unguarded
-from uwirl.motion.targets import ChainTargets
+from uwirl.motion.cost import CostWeights
+from uwirl.motion.learning import Learning
+from uwirl.motion.mission import Mission
+from uwirl.motion.safety import unguarded
+from uwirl.world.agent import Agent, Guard, Guarded
 from uwirl.world.obstacles import contacts
-from uwirl.world.relay import Relay, Trajectory
+from uwirl.world.relay import Relay, Trajectory, WorldState
+from uwirl.world.truth import truth_of
 from uwirl.world.vehicle import VehicleState
 
 
@@ -90,78 +90,69 @@ class Evaluation:
         }
 
 
-def evaluate(
-    env: Relay,
-    policy: Policy,
-    cost: RelayCost,
-    targets: ChainTargets,
-    state: VehicleState,
-    guard: Guard = unguarded,
-) -> Evaluation:
-    """Fly a mission.
+class Evaluator:
+    """Flies agents on the true channel.
 
     Args:
-        env: the world, with the true channel.
-        policy: what to fly.
-        cost: the running cost on the true channel; the vehicle's true trim is what effort is counted from.
-        targets: the true channel's targets, which the cost refers to.
-        state: where to start, [B, M].
-        guard: between policy and thrusters.
+        env: the worlds.
+        weights: of the running cost; the vehicle's true trim is what effort is counted from.
+        guard: between agent and thrusters.
     """
-    trajectory = env.rollout(guard(env, policy), state, env.scenario.steps)
-    nowhere = torch.zeros(state.components.shape[1:], dtype=torch.bool, device=state.components.device)
-    xi = targets.frame.relative(trajectory.states)
-    dt = trajectory.dt
 
-    def trapezoid(q: Tensor) -> Tensor:
-        return torch.trapezoid(q, dx=dt, dim=0).sum(-1)
+    def __init__(self, env: Relay, weights: CostWeights, guard: Guard = unguarded):
+        self.env, self.guard = env, guard
+        self.truth = truth_of(env)
+        self.mission = Mission(env, self.truth.channel, weights)
 
-    effort = trajectory.tau - env.vehicle.trim
-    position, time = trajectory.states.position, trajectory.time[:, None]
-    return Evaluation(
-        trajectory=trajectory,
-        link_capacity=env.link_capacities_kbps(position),
-        optimal_capacity=float(env.link_capacities_kbps(targets.frame.target).amin()),
-        clearance=env.scenario.clearance(position, time),
-        # Only a policy that plans its way can tell.
-        blocked=getattr(policy, "blocked", nowhere),
-        cost_terms={
-            "link": trapezoid(cost.link(xi)),
-            "obstacle": trapezoid(cost.obstacle(env.scenario.obstacles, position, time)),
-            "vehicle": trapezoid(cost.yaw(xi)),
-            # Held over each step, so the sum is exact.
-            "control": cost.control(effort).sum((0, -1)) * dt,
-        },
-    )
+    def in_worlds(self, env: Relay) -> Evaluator:
+        """The same for other worlds."""
+        return Evaluator(env, self.mission.weights, self.guard)
 
+    def fly(self, agent: Agent, start: WorldState | None = None) -> Evaluation:
+        """One mission from the scenario's start, or from elsewhere; see `Relay.rollout`."""
+        trajectory = self.env.rollout(Guarded(agent, self.guard), start)
+        return self.judge(trajectory)
 
-def cost_of_weights(
-    env: Relay,
-    policy: LinkFramePolicy,
-    weights: Tensor,
-    cost: RelayCost,
-    targets: ChainTargets,
-    starts: Tensor,
-    lead: Lead = go_straight,
-    guard: Guard = unguarded,
-) -> Tensor:
-    """J of K iterates' actor weights from Q starts, all flown as one batch.
+    def judge(self, trajectory: Trajectory) -> Evaluation:
+        """What a flight was worth."""
+        scenario, cost, frame = self.env.scenario, self.mission.cost, self.mission.targets.frame
+        xi, dt = frame.relative(trajectory.states), trajectory.dt
+        position, time = trajectory.states.position, trajectory.time[:, None]
+        nowhere = torch.zeros(position.shape[1:3], dtype=torch.bool, device=position.device)
 
-    Args:
-        env: the world.
-        policy: supplies frame, basis and trim, of its first world.
-        weights: one set for all vehicles, [K, 1, n3], or one for each, [K, M, n3].
-        cost, targets: on the true channel.
-        starts: eta, [Q, M, 4].
-        lead: leads the policy to the target.
-        guard: between policy and thrusters.
+        def trapezoid(q: Tensor) -> Tensor:
+            return torch.trapezoid(q, dx=dt, dim=0).sum(-1)
 
-    Returns:
-        [K, Q].
-    """
-    K, Q, M = weights.shape[0], *starts.shape[:2]
-    state = VehicleState.from_eta_nu(starts.repeat(K, 1, 1))
-    actor = LinearActor(policy.actor.basis, weights[:, None].expand(K, Q, M, -1).flatten(0, 2))
-    own_trim = policy.trim[:M].expand(M, 4).repeat(K * Q, 1)
-    flown = LinkFramePolicy(policy.frame, actor, own_trim)
-    return evaluate(env, lead(flown), cost, targets, state, guard).cost.view(K, Q)
+        return Evaluation(
+            trajectory=trajectory,
+            link_capacity=self.truth.link_capacities_kbps(position),
+            optimal_capacity=float(self.truth.link_capacities_kbps(frame.target).amin()),
+            clearance=scenario.clearance(position, time),
+            # Only an agent that plans its way can tell.
+            blocked=getattr(trajectory.carry, "blocked", nowhere),
+            cost_terms={
+                "link": trapezoid(cost.link(xi)),
+                "obstacle": trapezoid(cost.obstacle(scenario.obstacles, position, time)),
+                "vehicle": trapezoid(cost.yaw(xi)),
+                # Held over each step, so the sum is exact.
+                "control": cost.control(trajectory.tau - self.env.vehicle.trim).sum((0, -1)) * dt,
+            },
+        )
+
+    def cost_of_weights(self, learning: Learning, weights: Tensor, trim: Tensor, starts: Tensor) -> Tensor:
+        """J of K iterates' actor weights from Q starts, all flown as one batch.
+
+        Args:
+            learning: supplies the agent.
+            weights: one set for all vehicles, [K, 1, n3], or one for each, [K, M, n3].
+            trim: tau that holds a vehicle at rest, [1 or M or more, 4], of the first world.
+            starts: eta, [Q, M, 4].
+
+        Returns:
+            [K, Q].
+        """
+        K, Q, M = weights.shape[0], *starts.shape[:2]
+        rows = weights[:, None].expand(K, Q, M, -1).flatten(0, 2)
+        agent = learning.agent(rows, trim[:M].expand(M, 4).repeat(K * Q, 1), self.env)
+        start = WorldState.of(VehicleState.from_eta_nu(starts.repeat(K, 1, 1)))
+        return self.fly(agent, start).cost.view(K, Q)

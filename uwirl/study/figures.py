@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.features import AXES, MotionBasis
 from uwirl.study.evaluation import Evaluation
-from uwirl.study.shadowing import Messages
+from uwirl.study.shadowing import LinksAtMessages
 from uwirl.study.whole_files import write_figure
 from uwirl.world.layouts import KINDS
 from uwirl.world.relay import Relay
@@ -35,7 +35,7 @@ CONTROL_LABELS = ("surge (N)", "sway (N)", "heave (N)", "yaw (N m)")
 def mission_figure(
     scenario: Scenario,
     evaluation: Evaluation,
-    messages: Messages,
+    messages: LinksAtMessages,
     records: Sequence[IterationRecord],
     basis: MotionBasis | None,
 ) -> Figure:
@@ -171,7 +171,7 @@ def _cylinders(scenario: Scenario) -> list[tuple[tuple[float, float], float, flo
     return list(zip(centres, obstacles.radius[here].tolist(), obstacles.influence[here].tolist(), strict=True))
 
 
-def _capacities(axes: Axes, time: NDArray, evaluation: Evaluation, messages: Messages) -> None:
+def _capacities(axes: Axes, time: NDArray, evaluation: Evaluation, messages: LinksAtMessages) -> None:
     links = evaluation.link_capacity[:, 0].numpy(force=True)
     shown = np.clip(links, None, 3.0 * evaluation.optimal_capacity)
     for j in range(links.shape[1]):

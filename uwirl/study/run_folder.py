@@ -21,7 +21,7 @@ from uwirl.config.overrides import FREE
 from uwirl.config.schema import Config
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.evaluation import Evaluation
-from uwirl.study.shadowing import Messages
+from uwirl.study.shadowing import LinksAtMessages
 from uwirl.study.whole_files import read_whole, write_arrays, write_whole
 
 log = logging.getLogger("uwirl")
@@ -199,7 +199,7 @@ def estimate_metrics(estimate: ChannelEstimate) -> dict[str, Any]:
     return metrics
 
 
-def write_trajectory(folder: Path, evaluation: Evaluation, messages: Messages) -> None:
+def write_trajectory(folder: Path, evaluation: Evaluation, messages: LinksAtMessages) -> None:
     """trajectory.npz of the mission's first world.
 
     time_s [n + 1], eta, nu [n + 1, M, 4], tau [n, M, 4], link_capacity_kbps [n + 1, M + 1] of path loss alone, and with

@@ -11,8 +11,9 @@ from uwirl.motion.shadowed_targets import shadowed_targets
 from uwirl.motion.targets import ChainTargets
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.kriging import Kriging
-from uwirl.snr.measurements import Readings
+from uwirl.world.messages import Readings
 from uwirl.world.relay import Relay, Trajectory
+from uwirl.world.truth import truth_of
 
 # Of the map on which predictions are compared with the truth.
 MAP_SPACING_M = 2.0
@@ -20,13 +21,7 @@ MAP_SPACING_M = 2.0
 CHUNK = 1024
 
 
-def true_snr(env: Relay, first: Tensor, second: Tensor) -> Tensor:
-    """Shadowed SNR of links with ends [Q, 3] in the order of the field, in the first world, [Q], dB."""
-    distance = torch.linalg.vector_norm(first - second, dim=-1)
-    return env.channel.mean_snr_dB(distance) + env.shadowing(first[None], second[None])[0]
-
-
-class Messages(NamedTuple):
+class LinksAtMessages(NamedTuple):
     """What links carry when messages are sent.
 
     Attributes:
@@ -38,12 +33,12 @@ class Messages(NamedTuple):
     link_capacity: Tensor
 
 
-def messages(env: Relay, trajectory: Trajectory) -> Messages:
+def messages(env: Relay, trajectory: Trajectory) -> LinksAtMessages:
     """Of the first world's mission, every `scenario.message_period`."""
     every = round(env.scenario.message_period / env.scenario.dt)
     position = trajectory.eta[::every, :1, :, :3]
-    capacity = [env.link_capacities_kbps(part, shadowed=True)[:, 0] for part in position.split(CHUNK)]
-    return Messages(trajectory.time[::every], torch.cat(capacity))
+    capacity = [truth_of(env).link_capacities_kbps(part, shadowed=True)[:, 0] for part in position.split(CHUNK)]
+    return LinksAtMessages(trajectory.time[::every], torch.cat(capacity))
 
 
 def shadowed_capacities(env: Relay, trajectory: Trajectory, targets: ChainTargets) -> dict[str, float]:
@@ -54,9 +49,9 @@ def shadowed_capacities(env: Relay, trajectory: Trajectory, targets: ChainTarget
         trajectory: the mission.
         targets: of the mean channel.
     """
-    best = shadowed_targets(env.scenario, lambda p, q: true_snr(env, p, q), targets.frame.target)
+    best = shadowed_targets(env.scenario, truth_of(env).snr_dB, targets.frame.target)
     places = torch.cat([trajectory.eta[[0, -1], 0, :, :3], best[None]])
-    start, end, optimal = env.link_capacities_kbps(places[:, None], shadowed=True)[:, 0].amin(-1).tolist()
+    start, end, optimal = truth_of(env).link_capacities_kbps(places[:, None], shadowed=True)[:, 0].amin(-1).tolist()
     # The search ends at a spacing; a vehicle that has come to rest on a peak is part of it.
     return {
         "capacity_initial_kbps": start,
@@ -83,7 +78,7 @@ def map_rmse_dB(env: Relay, kriging: Kriging) -> float:
     errors = []
     for node in nodes:
         away = places[torch.linalg.vector_norm(places - node, dim=-1) > 0.5 * MAP_SPACING_M]
-        truth = true_snr(env, node.expand_as(away), away)
+        truth = truth_of(env).snr_dB(node.expand_as(away), away)
         errors.append(kriging.mean(node, away) - truth)
     return float(torch.cat(errors).square().mean().sqrt())
 
@@ -107,6 +102,6 @@ def summary(
     metrics["snr_map_rmse_dB"] = rmse[0] if len(rmse) == 1 else rmse
     if len(maps) == 1 and float(maps[0].zeta2) > 0.0:
         place = map_targets(env, maps[0], targets)
-        capacity = env.link_capacities_kbps(place[None, None], shadowed=True).amin()
+        capacity = truth_of(env).link_capacities_kbps(place[None, None], shadowed=True).amin()
         metrics |= {"map_target_m": place.tolist(), "map_target_capacity_kbps": float(capacity)}
     return metrics

@@ -109,7 +109,7 @@ def make_map(kriging: Kriging, grid: Grid, sender: Tensor, threshold_kbps: float
     channel = kriging.channel
     capacity = channel.capacity_kbps(mean)
     threshold = threshold_kbps or 0.5 * float(capacity.median())
-    outage = torch.special.ndtr((channel.snr_for_dB(threshold) - mean) / std)
+    outage = torch.special.ndtr((channel.budget.snr_for_dB(threshold) - mean) / std)
 
     def whole(values: Tensor) -> Tensor:
         return values.new_full(distance.shape, math.nan).masked_scatter(~near, values).view(len(grid.y), len(grid.x))

@@ -18,7 +18,7 @@ from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.features import AXES, MotionBasis
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.evaluation import Evaluation
-from uwirl.study.shadowing import Messages
+from uwirl.study.shadowing import LinksAtMessages
 
 # Of metrics.json, beside the settings in parallel coordinates.
 COMPARED = (
@@ -93,7 +93,7 @@ class TensorBoard:
         for iteration, value in enumerate(cost, 1):
             self.writer.add_scalar("cost/total", value, iteration)
 
-    def evaluation(self, evaluation: Evaluation, messages: Messages, every: int = 10) -> None:
+    def evaluation(self, evaluation: Evaluation, messages: LinksAtMessages, every: int = 10) -> None:
         """Capacity and clearance over the mission's time (step = ms), the cost by term, and the path in 3-D."""
         capacity, clearance = evaluation.chain_capacity[:, 0], evaluation.clearance[:, 0].amin(-1)
         for step in range(0, len(capacity), every):

@@ -1,4 +1,8 @@
-"""The underwater acoustic channel: absorption, mean SNR and capacity (eqs 5-8)."""
+"""The underwater acoustic channel: absorption, mean SNR and capacity (eqs 5-8).
+
+What is known of a link before anything is heard, its budget, and the channel behind it are two types: who estimates or
+plans is given the first, and works out the second from readings.
+"""
 
 from __future__ import annotations
 
@@ -13,38 +17,22 @@ from uwirl.world.absorption import ABSORPTION_LAWS, Water
 
 
 @dataclass(frozen=True)
-class Channel:
-    """Mean (path-loss) channel of acoustic links, and the statistics of their fading.
-
-    SNR_dB(l) = K - 10 n log10(l) - (l / 1000) a(f) - N0           (6) without its random terms
-    C(l) = B log2(1 + 10^(SNR_dB / 10))                            (7), (8)
-
-    The paper multiplies a(f), which is in dB/km, by metres; here the distance is divided by 1000. K is the source level
-    in dB re 1 uPa at 1 m where N0 is the noise level in the band, in dB re 1 uPa.
+class LinkBudget:
+    """What is known of acoustic links beforehand: noise, bandwidth, absorption, and what an SNR carries.
 
     Attributes:
-        K_dB: transmission constant, dB; a number, or [M] where vehicles differ (estimates).
-        n: spreading exponent, likewise.
         N0_dB: noise level, dB.
         bandwidth_khz: B, kHz, so that capacities are in kbit/s.
         absorption: name of an absorption law, or "none".
         frequency_khz: f, kHz; only with an absorption law.
         water: which absorbs.
-        zeta_dB: standard deviation of shadowing, Gaussian in dB; see `uwirl.world.fading`.
-        varphi_m: its correlation distance, m.
-        rho_dB: standard deviation of multipath, Gaussian in dB.
     """
 
-    K_dB: float | Tensor
-    n: float | Tensor
     N0_dB: float
     bandwidth_khz: float
     absorption: str = "none"
     frequency_khz: float | None = None
     water: Water = field(default_factory=Water)
-    zeta_dB: float | Tensor = 0.0
-    varphi_m: float | Tensor = math.inf
-    rho_dB: float | Tensor = 0.0
 
     @cached_property
     def absorption_dB_per_km(self) -> float:
@@ -56,17 +44,52 @@ class Channel:
 
     def known_loss_dB(self, distance_m: Tensor) -> Tensor:
         """epsilon under (10): noise and absorption, the part of (6) that needs no estimation, dB."""
+        # The paper multiplies a(f), which is in dB/km, by metres.
         return self.N0_dB + distance_m * (self.absorption_dB_per_km / 1000.0)
+
+    def capacity_kbps(self, snr_dB: Tensor) -> Tensor:
+        """Shannon capacity (7) of an SNR in dB, kbit/s."""
+        return self.bandwidth_khz * torch.log1p(10.0 ** (snr_dB / 10.0)) / math.log(2.0)
+
+    def snr_for_dB(self, capacity_kbps: float) -> float:
+        """The SNR in dB that carries a capacity in kbit/s: the inverse of (7)."""
+        return 10.0 * math.log10(math.expm1(math.log(2.0) * capacity_kbps / self.bandwidth_khz))
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Mean (path-loss) channel of acoustic links, and the statistics of their fading: the truth, or a belief about it.
+
+    SNR_dB(l) = K - 10 n log10(l) - (l / 1000) a(f) - N0           (6) without its random terms
+    C(l) = B log2(1 + 10^(SNR_dB / 10))                            (7), (8)
+
+    K is the source level in dB re 1 uPa at 1 m where N0 is the noise level in the band, in dB re 1 uPa.
+
+    Attributes:
+        budget: what is known beforehand.
+        K_dB: transmission constant, dB; a number, or [M] where vehicles differ (estimates).
+        n: spreading exponent, likewise.
+        zeta_dB: standard deviation of shadowing, Gaussian in dB; see `uwirl.world.fading`.
+        varphi_m: its correlation distance, m.
+        rho_dB: standard deviation of multipath, Gaussian in dB.
+    """
+
+    budget: LinkBudget
+    K_dB: float | Tensor
+    n: float | Tensor
+    zeta_dB: float | Tensor = 0.0
+    varphi_m: float | Tensor = math.inf
+    rho_dB: float | Tensor = 0.0
 
     def mean_snr_dB(self, distance_m: Tensor) -> Tensor:
         """Path-loss SNR of (6), dB, same shape as the distance in m."""
         # Estimates are float64 whatever the environment's dtype.
         K, n = (x.to(distance_m) if isinstance(x, Tensor) else x for x in (self.K_dB, self.n))
-        return K - 10.0 * n * torch.log10(distance_m) - self.known_loss_dB(distance_m)
+        return K - 10.0 * n * torch.log10(distance_m) - self.budget.known_loss_dB(distance_m)
 
     def capacity_kbps(self, snr_dB: Tensor) -> Tensor:
-        """Shannon capacity (7) of an SNR in dB, kbit/s."""
-        return self.bandwidth_khz * torch.log1p(10.0 ** (snr_dB / 10.0)) / math.log(2.0)
+        """Capacity of an SNR in dB, kbit/s."""
+        return self.budget.capacity_kbps(snr_dB)
 
     def mean_capacity_kbps(self, distance_m: Tensor) -> Tensor:
         """Capacity of path loss alone over a distance in m, kbit/s."""
@@ -86,7 +109,3 @@ class Channel:
             varphi_m=own(self.varphi_m),
             rho_dB=own(self.rho_dB),
         )
-
-    def snr_for_dB(self, capacity_kbps: float) -> float:
-        """The SNR in dB that carries a capacity in kbit/s: the inverse of (7)."""
-        return 10.0 * math.log10(math.expm1(math.log(2.0) * capacity_kbps / self.bandwidth_khz))

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from uwirl.world.geometry import distances
 from uwirl.world.random import RandomStreams, Stream
 
 COSINES = 512
@@ -26,12 +27,6 @@ KEPLER_STEPS = 10
 
 # From the two ends of links, each [..., B, *, 3] in m, to their shadowing in dB.
 ShadowingField = Callable[[Tensor, Tensor], Tensor]
-
-
-def distances(a: Tensor, b: Tensor) -> Tensor:
-    """Between points [..., m, 3] and [..., n, 3]: [..., m, n], m."""
-    # The default multiplies matrices, which is wrong by 1e-7 and has no zero diagonal.
-    return torch.cdist(a, b, compute_mode="donot_use_mm_for_euclid_dist")
 
 
 def exact_shadowing(first: Tensor, second: Tensor, zeta_dB: float, varphi_m: float, white: Tensor) -> Tensor:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 
-@dataclass(frozen=True)
-class Obstacles:
+class Obstacles(NamedTuple):
     """O cylinders, the same in every world or other ones in each; worlds with fewer pad with `present` False.
 
     Attributes:
@@ -28,13 +27,13 @@ class Obstacles:
     present: Tensor
 
     @property
-    def count(self) -> int:
+    def number(self) -> int:
         """O."""
         return self.radius.shape[-1]
 
     def each(self, change: Callable[[Tensor], Tensor]) -> Obstacles:
         """With every field changed alike."""
-        return Obstacles(*(change(f) for f in (self.centre, self.radius, self.influence, self.velocity, self.present)))
+        return Obstacles(*(change(field) for field in self))
 
     def worlds(self, index: Tensor) -> Obstacles:
         """Those of some worlds of a batch, by their numbers [K]; the same ones where all worlds share them."""

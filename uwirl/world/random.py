@@ -29,6 +29,7 @@ class Stream(IntEnum):
     DISTURBANCE = 4
     SENSOR_PLACEMENT = 5
     LAYOUT = 6
+    NAVIGATION = 7
 
 
 def philox4x32(counter: Tensor, key: Tensor, rounds: int = 10) -> Tensor:
@@ -81,14 +82,14 @@ class RandomStreams:
         """Those of some of the worlds, by their places [K] in the batch."""
         return RandomStreams(self.seed[index], self.world[index])
 
-    def uniform(self, stream: Stream, step: int, count: int) -> Tensor:
-        """Float64 draws in [0, 1), [B, count]."""
+    def uniform(self, stream: Stream, step: int | Tensor, count: int) -> Tensor:
+        """Float64 draws in [0, 1), [B, count], of a step that is a number or int64 [B]."""
         blocks = torch.arange((count + 1) // 2, device=self.seed.device)
         world = self.world[:, None].expand(-1, len(blocks))
         counter = torch.stack(
             [
                 world & _MASK,
-                torch.full_like(world, step & _MASK),
+                torch.full_like(world, step & _MASK) if isinstance(step, int) else (step & _MASK)[:, None].expand_as(world),
                 torch.full_like(world, int(stream)),
                 blocks.expand_as(world),
             ],
@@ -100,11 +101,11 @@ class RandomStreams:
         mantissa = (words[..., 0] >> 5) * (1 << 26) + (words[..., 1] >> 6)
         return (mantissa.to(torch.float64) / (1 << 53))[:, :count]
 
-    def between(self, stream: Stream, step: int, low: float, high: float, count: int) -> Tensor:
+    def between(self, stream: Stream, step: int | Tensor, low: float, high: float, count: int) -> Tensor:
         """Uniform float64 draws in [low, high), [B, count]."""
         return low + (high - low) * self.uniform(stream, step, count)
 
-    def normal(self, stream: Stream, step: int, count: int) -> Tensor:
+    def normal(self, stream: Stream, step: int | Tensor, count: int) -> Tensor:
         """Standard normal float64 draws by Box-Muller, [B, count]."""
         pairs = (count + 1) // 2
         u = self.uniform(stream, step, 2 * pairs).reshape(len(self.seed), pairs, 2)

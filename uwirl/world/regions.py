@@ -41,7 +41,7 @@ def separated(obstacles: Obstacles, inflation: float | Tensor, p: Tensor, q: Ten
         obstacles.radius.shape[:-1],
         obstacles.present.shape[:-1],
     )
-    count = obstacles.count
+    count = obstacles.number
     if count == 0:
         return torch.zeros(lead, dtype=torch.bool, device=p.device)
     tensors = (

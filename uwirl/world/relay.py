@@ -2,22 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from uwirl.world.acoustics import Channel
-from uwirl.world.fading import Shadowing, ShadowingField
+from uwirl.world.acoustics import Channel, LinkBudget
+from uwirl.world.agent import Agent
+from uwirl.world.messages import Messages, snr_heard, told_to_all
+from uwirl.world.observation import Observation
+from uwirl.world.obstacles import Obstacles
 from uwirl.world.random import RandomStreams
 from uwirl.world.scenario import Scenario
+from uwirl.world.truth import Truth
 from uwirl.world.vehicle import Dynamics, VehicleState
 
 
 class DivergedError(RuntimeError):
     """A simulated quantity stopped being finite."""
+
+
+class WorldState(NamedTuple):
+    """Where B worlds of M vehicles stand; with their random streams all that follows is determined.
+
+    Attributes:
+        components: of the vehicles, [8, B, M]; see VehicleState.
+        step: how many steps each world has made, int64 [B].
+        target: where each vehicle has said that it means to go, [B, M, 3], m; nan until it has.
+    """
+
+    components: Tensor
+    step: Tensor
+    target: Tensor
+
+    @classmethod
+    def of(cls, vehicles: VehicleState, step: int = 0) -> WorldState:
+        """Of vehicles [B, M] after so many steps, which have said nothing yet."""
+        x = vehicles.components
+        silent = x.new_full((), torch.nan).expand(*x.shape[1:], 3)
+        return cls(x, torch.full(x.shape[1:2], step, dtype=torch.int64, device=x.device), silent)
+
+    @property
+    def vehicles(self) -> VehicleState:
+        """[B, M]."""
+        return VehicleState(self.components)
 
 
 @dataclass(frozen=True)
@@ -29,12 +58,16 @@ class Trajectory:
         tau: control held over each step, [n, B, M, 4].
         dt: s.
         first_step: step index, from the beginning of the flight, of the first state.
+        end: where the worlds stand then.
+        carry: what the agent remembers then; with `end` it goes on as if never stopped.
     """
 
     components: Tensor
     tau: Tensor
     dt: float
-    first_step: int = 0
+    first_step: int
+    end: WorldState
+    carry: Any = None
 
     @property
     def eta(self) -> Tensor:
@@ -68,74 +101,163 @@ class Relay:
     Args:
         scenario: nodes, vehicles, sensors, time.
         vehicle: dynamics of every vehicle.
-        channel: the true channel, which a learner sees only through readings.
+        channel: the true channel, which nothing in the water sees but through readings (`uwirl.world.truth`).
         streams: the worlds' random numbers; their number is B.
     """
 
     def __init__(self, scenario: Scenario, vehicle: Dynamics, channel: Channel, streams: RandomStreams):
         self.scenario = scenario
         self.vehicle = vehicle
-        self.channel = channel
         self.streams = streams
+        self._truth = Truth(channel, scenario.source, scenario.destination, streams)
+        self._water = None if scenario.current.is_still else scenario.current.realise(streams)
 
     @property
     def worlds(self) -> int:
+        """B."""
         return len(self.streams.seed)
 
-    @cached_property
-    def shadowing(self) -> ShadowingField:
-        """Of each world's links, from their ends [..., B, *, 3] in the order of the field."""
-        return Shadowing(float(self.channel.zeta_dB), float(self.channel.varphi_m)).realise(self.streams)
-
-    def reset(self) -> VehicleState:
-        """All worlds at the scenario's start, at rest, [8, B, M] underneath."""
-        start = self.scenario.start
-        return VehicleState.from_eta_nu(start.expand(self.worlds, *start.shape[-2:]))
+    @property
+    def budget(self) -> LinkBudget:
+        """What is known of the links beforehand."""
+        return self._truth.channel.budget
 
     def on(self, scenario: Scenario, streams: RandomStreams) -> Relay:
         """The same water and vehicles in other worlds."""
-        return Relay(scenario, self.vehicle, self.channel, streams)
+        return Relay(scenario, self.vehicle, self._truth.channel, streams)
 
     def select(self, index: Tensor) -> Relay:
         """The environment of some of the worlds, by their places [K] in the batch."""
         return self.on(self.scenario.worlds(index), self.streams.select(index))
 
-    def rollout(
-        self, policy: Callable[[VehicleState, int], Tensor], state: VehicleState, steps: int, first_step: int = 0
-    ) -> Trajectory:
-        """Fly a policy from a state.
+    def start(self) -> WorldState:
+        """All worlds at the scenario's start, at rest."""
+        start = self.scenario.start
+        return WorldState.of(VehicleState.from_eta_nu(start.expand(self.worlds, *start.shape[-2:])))
+
+    def reset(self) -> tuple[WorldState, Observation]:
+        """All worlds at the scenario's start, at rest, and what the vehicles perceive there."""
+        state = self.start()
+        return state, self.observe(state)
+
+    def step(self, state: WorldState, tau: Tensor, target: Tensor | None = None) -> tuple[WorldState, Observation]:
+        """One step of scenario.dt.
 
         Args:
-            policy: (state, step index) -> tau [B, M, 4]; it is saturated here and held for one step.
-            state: where to start; its batch may differ from the scenario's.
-            steps: number of integration steps.
-            first_step: index of the first of them: what drifts is where it is at that time.
+            state: of B worlds, which stays as it is.
+            tau: [B, M, 4], saturated here and held over the step.
+            target: [B, M, 3], m: where the vehicles say that they mean to go; None if they say nothing new.
 
         Raises:
+            ValueError: tau or target of another shape.
+        """
+        command = self._command(tau, state)
+        if target is not None and target.shape != state.target.shape:
+            raise ValueError(f"target has shape {list(target.shape)}, needs {list(state.target.shape)} (world, vehicle)")
+        components = torch.empty_like(state.components)
+        self._advance(state, command, components)
+        after = WorldState(components, state.step + 1, state.target if target is None else target)
+        return after, self.observe(after)
+
+    def observe(self, state: WorldState) -> Observation:
+        """What the vehicles perceive at a state; a pure function of it."""
+        scenario = self.scenario
+        x, step = state.components, state.step
+        time = step * scenario.dt
+        eta, nu = x[:4].movedim(0, -1), x[4:].movedim(0, -1)
+        contact = (x[2] >= 0.0).to(torch.int8).sub_(x[2] <= -scenario.depth)
+        if not scenario.navigation.is_exact:
+            error = scenario.navigation.error(self.streams, step, time, x.shape[2]).to(x.dtype)
+            eta, nu = eta + error[..., :4], nu + error[..., 4:]
+        obstacles = self._detected(x, time)
+        return Observation(step, time, eta, nu, obstacles, contact, self._messages(state, eta, nu))
+
+    def rollout(
+        self, agent: Agent, state: WorldState | None = None, steps: int | None = None, carry: Any = None
+    ) -> Trajectory:
+        """Let an agent fly: the loop over `step`, writing into one trajectory.
+
+        Args:
+            agent: decides on every step's tau.
+            state: where to start, all worlds at the same step; the scenario's start if None. Its batch may differ from
+                the environment's if that is one world.
+            steps: number of integration steps; a mission's if None.
+            carry: of a flight that goes on; None begins one.
+
+        Raises:
+            ValueError: the agent returned tau of another shape, or no pair, or worlds are at different steps.
             DivergedError: a state or control stopped being finite; the message names the step and the quantity.
         """
-        current = self.scenario.current.realise(self.streams)
+        state = self.start() if state is None else state
+        steps = self.scenario.steps if steps is None else steps
+        first_step, last_step = int(state.step.min()), int(state.step.max())
+        if first_step != last_step:
+            raise ValueError(f"worlds at different steps, {first_step} to {last_step}, make no one trajectory")
         x = state.components
         components = x.new_empty(steps + 1, *x.shape)
         tau = x.new_empty(steps, 4, *x.shape[1:])
         components[0] = x
+        observation = self.observe(state)
+        carry = agent.init(observation) if carry is None else carry
         for k in range(steps):
-            step = first_step + k
-            command = self.vehicle.saturate(policy(state, step))
-            water = None if self.scenario.current.is_still else current(step * self.scenario.dt).to(x.dtype)
-            state = self.vehicle.step(state, command, self.scenario.dt, water, out=components[k + 1])
-            self._confine(components[k + 1])
+            action = agent.act(carry, observation)
+            if not (isinstance(action, tuple) and len(action) == 2):
+                raise ValueError(f"{type(agent).__name__}.act must return (tau, carry), got {type(action).__name__}")
+            command, carry = self._command(action[0], state, agent), action[1]
+            self._advance(state, command, components[k + 1])
+            state = WorldState(components[k + 1], state.step + 1, _said(carry, state.target))
             tau[k] = command.movedim(-1, 0)
-        trajectory = Trajectory(components, tau.movedim(1, -1), self.scenario.dt, first_step)
+            if k + 1 < steps:
+                observation = self.observe(state)
+        # A copy, which does not hold the whole flight in memory.
+        end = state._replace(components=components[-1].clone())
+        trajectory = Trajectory(components, tau.movedim(1, -1), self.scenario.dt, first_step, end, carry)
         self._check_finite(trajectory)
         return trajectory
 
-    def _confine(self, x: Tensor) -> None:
-        """Surface and floor stop a vehicle's centre, in place."""
-        z, w = x[2], x[6]
-        inside = z.clamp(-self.scenario.depth, 0.0)
+    def _command(self, tau: Tensor, state: WorldState, agent: Agent | None = None) -> Tensor:
+        """tau within the thruster limits."""
+        wanted = (*state.components.shape[1:], 4)
+        if not isinstance(tau, Tensor) or tau.shape != wanted or not tau.is_floating_point():
+            whose = "" if agent is None else f"{type(agent).__name__}.act returned "
+            got = f"{tau.dtype} {list(tau.shape)}" if isinstance(tau, Tensor) else type(tau).__name__
+            raise ValueError(f"{whose}tau {got}, where floating-point {list(wanted)} (world, vehicle, axis) is needed")
+        return self.vehicle.saturate(tau)
+
+    def _advance(self, state: WorldState, command: Tensor, out: Tensor) -> None:
+        """The components after one step, written into `out` [8, B, M]."""
+        scenario = self.scenario
+        water = None if self._water is None else self._water(state.step * scenario.dt).to(out.dtype)
+        self.vehicle.step(state.vehicles, command, scenario.dt, water, out=out)
+        # Surface and floor stop a vehicle's centre.
+        z, w = out[2], out[6]
+        inside = z.clamp(-scenario.depth, 0.0)
         w.masked_fill_((inside != z) & (w * z.sub(inside) > 0.0), 0.0)
         z.copy_(inside)
+
+    def _detected(self, x: Tensor, time: Tensor) -> Obstacles:
+        """Obstacles that each vehicle detects where it is, fields [B, M, O(, 2)]."""
+        scenario, (B, M) = self.scenario, x.shape[1:]
+        everywhere = scenario.obstacles
+        known = everywhere.each(lambda field: _for_each(field, everywhere, B, M))
+        if scenario.detection_range == torch.inf or everywhere.number == 0:
+            return known
+        gap = everywhere.clearance(x[:3].movedim(0, -1), scenario.vehicle_radius, time)
+        detected = known.present & (gap <= scenario.detection_range)
+        hidden = known.each(lambda field: torch.where(_like(detected, field), field, torch.zeros_like(field)))
+        return hidden._replace(present=detected)
+
+    def _messages(self, state: WorldState, eta: Tensor, nu: Tensor) -> Messages:
+        scenario, (B, M) = self.scenario, state.components.shape[1:]
+        snr = eta.new_empty((B, M, 3, 0), dtype=torch.float64)
+        every = round(scenario.message_period / scenario.dt)
+        if scenario.streaming and bool((state.step % every == 0).any()):
+            position = state.vehicles.position
+            heard = [
+                snr_heard(scenario, self._truth, self.streams, position[:, i], i, state.step // every) for i in range(M)
+            ]
+            snr = torch.where((state.step % every == 0)[:, None, None, None], torch.stack(heard, 1), torch.nan)
+        return Messages(told_to_all(eta), told_to_all(nu), told_to_all(state.target), snr)
 
     @staticmethod
     def _check_finite(trajectory: Trajectory) -> None:
@@ -147,24 +269,20 @@ class Relay:
                     f"{name} is not finite at step {step} (t = {float(trajectory.time[step]):g} s of the flight)"
                 )
 
-    def chain(self, position: Tensor) -> Tensor:
-        """Nodes of the communication chain in order, source first, [..., M + 2, 3], of vehicles at [..., M, 3]."""
-        shape = (*position.shape[:-2], 1, 3)
-        ends = self.scenario.source.expand(shape), self.scenario.destination.expand(shape)
-        return torch.cat([ends[0], position, ends[1]], -2)
 
-    def link_capacities_kbps(self, position: Tensor, shadowed: bool = False) -> Tensor:
-        """Capacity of each link, [..., M + 1], of vehicles at [..., M, 3]; the chain's is their minimum (5).
+def _said(carry: Any, before: Tensor) -> Tensor:
+    """Where vehicles say they mean to go, if their agent says anything."""
+    target = getattr(carry, "target", None)
+    return before if target is None else target.to(before.dtype)
 
-        Args:
-            position: [..., M, 3], or [..., B, M, 3] where shadowed, m.
-            shadowed: whether of path loss and shadowing, or of path loss alone, the mean capacity.
-        """
-        chain = self.chain(position)
-        snr = self.channel.mean_snr_dB(torch.linalg.vector_norm(chain.diff(dim=-2), dim=-1))
-        if shadowed:
-            # The field's ends stand in the order source < destination < vehicles.
-            first, second = chain[..., :-1, :].clone(), chain[..., 1:, :].clone()
-            first[..., -1, :], second[..., -1, :] = chain[..., -1, :], chain[..., -2, :]
-            snr = snr + self.shadowing(first, second).to(snr.dtype)
-        return self.channel.capacity_kbps(snr)
+
+def _for_each(field: Tensor, everywhere: Obstacles, worlds: int, vehicles: int) -> Tensor:
+    """A field of obstacles, [O(, 2)] or [B, O(, 2)], as a view for each vehicle of each world, [B, M, O(, 2)]."""
+    shared = everywhere.radius.ndim == 1
+    trailing = field.shape if shared else field.shape[1:]
+    return (field if shared else field[:, None]).expand(worlds, vehicles, *trailing)
+
+
+def _like(mask: Tensor, field: Tensor) -> Tensor:
+    """A mask [B, M, O] to select in a field [B, M, O(, 2)]."""
+    return mask if field.ndim == mask.ndim else mask[..., None]

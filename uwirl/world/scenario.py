@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
 from uwirl.world.current import Current
+from uwirl.world.navigation import Navigation
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.random import RandomStreams, Stream
 
@@ -32,6 +33,8 @@ class Scenario:
         dt: integration step, s.
         message_period: time between messages, s: fading in flight is read when one is sent.
         duration: length of a mission, s.
+        navigation: how well vehicles know where they are; exactly by default.
+        streaming: whether vehicles go on to read their links' SNR in flight, with every message.
     """
 
     source: Tensor
@@ -47,6 +50,8 @@ class Scenario:
     dt: float
     message_period: float
     duration: float
+    navigation: Navigation = field(default_factory=Navigation)
+    streaming: bool = False
 
     @property
     def vehicles(self) -> int:
@@ -54,7 +59,7 @@ class Scenario:
 
     def clearance(self, position: Tensor, time: Tensor | float = 0.0) -> Tensor:
         """Smallest gap between each vehicle at [..., M, 3] and any obstacle, [..., M], m; infinite in free water."""
-        if self.obstacles.count == 0:
+        if self.obstacles.number == 0:
             return torch.full(position.shape[:-1], torch.inf, dtype=position.dtype, device=position.device)
         return self.obstacles.clearance(position, self.vehicle_radius, time).amin(-1)
 

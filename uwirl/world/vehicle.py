@@ -19,6 +19,8 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
+from uwirl.world.geometry import to_body
+
 # Vehicles integrated together when eager: large enough to hide the cost of a kernel call, small enough for the cache.
 CHUNK = 32_768
 
@@ -53,6 +55,25 @@ class VehicleState:
     def position(self) -> Tensor:
         """[..., 3], a view, m."""
         return self.components[:3].movedim(0, -1)
+
+
+class Moving(Protocol):
+    """Whatever has a pose and a velocity: a state of vehicles, or what they observe of themselves."""
+
+    @property
+    def eta(self) -> Tensor:
+        """[..., M, 4]."""
+        ...
+
+    @property
+    def nu(self) -> Tensor:
+        """[..., M, 4]."""
+        ...
+
+    @property
+    def position(self) -> Tensor:
+        """[..., M, 3], m."""
+        ...
 
 
 class Dynamics(Protocol):
@@ -148,13 +169,6 @@ class Vehicle(nn.Module):
         """D(nu) [..., 4, 4], diagonal, of nu [..., 4]."""
         return torch.diag_embed(self.linear_damping + self.quadratic_damping * nu.abs())
 
-    @staticmethod
-    def rotation_matrix(psi: Tensor) -> Tensor:
-        """J(psi) [..., 4, 4] of a yaw angle [...]."""
-        c, s, zero, one = torch.cos(psi), torch.sin(psi), torch.zeros_like(psi), torch.ones_like(psi)
-        rows = [[c, -s, zero, zero], [s, c, zero, zero], [zero, zero, one, zero], [zero, zero, zero, one]]
-        return torch.stack([torch.stack(row, -1) for row in rows], -2)
-
     def derivative(self, psi: Tensor, nu: Sequence[Tensor], force: Sequence[Tensor]) -> list[Tensor]:
         """Right-hand side of (1), component by component; the position does not enter it.
 
@@ -221,10 +235,12 @@ class Vehicle(nn.Module):
             current: inertial, [3, ...], m/s.
         """
         relative = x.clone()
-        relative[4:7] -= _to_body(x[3], current)
+        relative[4:6] -= torch.stack(to_body(current[0], current[1], x[3]))
+        relative[6] -= current[2]
         moved = self.rk4(relative, tau, dt)
         moved[:3] += current * dt
-        moved[4:7] += _to_body(moved[3], current)
+        moved[4:6] += torch.stack(to_body(current[0], current[1], moved[3]))
+        moved[6] += current[2]
         return moved
 
     def step(
@@ -258,10 +274,3 @@ class Vehicle(nn.Module):
         for part_x, part_tau, part_out in zip(*parts, strict=True):
             part_out.copy_(self.rk4(part_x, part_tau, dt))
         return VehicleState(out)
-
-
-def _to_body(psi: Tensor, velocity: Tensor) -> Tensor:
-    """Velocity [3, ...] of the inertial frame in body axes of yaw psi [...]."""
-    x, y, z = torch.broadcast_tensors(*velocity.unbind(0), psi)[:3]
-    c, s = torch.cos(psi), torch.sin(psi)
-    return torch.stack([c * x + s * y, c * y - s * x, z])

@@ -14,24 +14,23 @@ holds between the nodes as well.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from uwirl.motion.baselines.collocation import Collocation
-from uwirl.motion.baselines.guesses import Guess, interpolate
-from uwirl.motion.cost import RelayCost
-from uwirl.motion.planner import CostFactory
-from uwirl.motion.policy import Policy
-from uwirl.motion.targets import ChainTargets, mean_channel_targets
+from uwirl.baselines.collocation import Collocation
+from uwirl.baselines.guesses import Guess, guesses_on_the_map, interpolate
+from uwirl.motion.cost import CostWeights
+from uwirl.motion.mission import Mission
 from uwirl.snr.estimate import ChannelEstimate
+from uwirl.world.agent import Agent
+from uwirl.world.geometry import rotation_matrix, wrapped
+from uwirl.world.observation import Observation
 from uwirl.world.relay import Relay
-from uwirl.world.vehicle import Vehicle, VehicleState
 
 IPOPT = {"print_level": 0, "sb": "yes", "mu_strategy": "adaptive", "tol": 1e-6, "acceptable_tol": 1e-4}
 FEASIBLE = 1e-4  # largest violation with which a plan counts as converged although the solver stopped early
@@ -72,9 +71,7 @@ class Plan:
 
 
 def optimise(
-    env: Relay,
-    cost: RelayCost,
-    targets: ChainTargets,
+    mission: Mission,
     guesses: Sequence[Guess],
     intervals: int = 200,
     world: int = 0,
@@ -84,9 +81,7 @@ def optimise(
     """Minimise J over a mission of one world's vehicles, from each guess in turn.
 
     Args:
-        env: start, obstacles, duration and the model of the vehicles; the model's water is still.
-        cost: the running cost, on the channel to count on.
-        targets: what the cost refers to.
+        mission: start, obstacles, duration and the model of the vehicles; the model's water is still.
         guesses: at least one, on N + 1 nodes.
         intervals: N.
         world: of a batch.
@@ -103,7 +98,7 @@ def optimise(
     if not guesses:
         raise ValueError("guesses: trajectory optimisation needs at least one")
     ca = _casadi()
-    problem = Collocation(ca, env, cost, targets, intervals, world, separation_m)
+    problem = Collocation(ca, mission, intervals, world, separation_m)
     ipopt = IPOPT | {"max_iter": max_iterations}
     solver = ca.nlpsol("plan", "ipopt", problem.programme, {"print_time": False, "ipopt": ipopt})
     attempts, solutions = [], []
@@ -125,8 +120,8 @@ def _casadi() -> Any:
         raise ImportError("trajectory optimisation needs CasADi: pip install 'uwirl[solvers]'") from error
 
 
-class PlanPolicy:
-    """tau = tau*(t) - K_p e - K_d (nu - nu*(t)), e the pose error eta - eta*(t) in body axes.
+class PlanAgent:
+    """tau = tau*(t) - K_p e - K_d (nu - nu*(t)), e the pose error eta - eta*(t) in body axes; remembers nothing.
 
     The plan is linear between its nodes; after its end its last pose is held.
 
@@ -150,35 +145,43 @@ class PlanPolicy:
         self.nu[-1], self.tau[-1] = 0.0, env.vehicle.trim
         self.position_gain, self.velocity_gain = like.new_tensor(position_gain), like.new_tensor(velocity_gain)
 
-    def __call__(self, state: VehicleState, step: int) -> Tensor:
-        step = min(step, len(self.eta) - 1)
-        error = state.eta - self.eta[step]
-        error[..., 3] = torch.remainder(error[..., 3] + math.pi, 2.0 * math.pi) - math.pi
-        body = (Vehicle.rotation_matrix(state.eta[..., 3]).mT @ error[..., None])[..., 0]
-        return self.tau[step] - self.position_gain * body - self.velocity_gain * (state.nu - self.nu[step])
+    def init(self, observation: Observation) -> tuple[()]:
+        """Nothing."""
+        return ()
+
+    def act(self, carry: tuple[()], observation: Observation) -> tuple[Tensor, tuple[()]]:
+        """tau [B, M, 4]."""
+        step = observation.step.clamp_max(len(self.eta) - 1)
+        error = observation.eta - self.eta[step]
+        error[..., 3] = wrapped(error[..., 3])
+        body = (rotation_matrix(observation.eta[..., 3]).mT @ error[..., None])[..., 0]
+        return self.tau[step] - self.position_gain * body - self.velocity_gain * (
+            observation.nu - self.nu[step]
+        ), carry
 
 
-@dataclass
+@dataclass(frozen=True)
 class TrajectoryOptimization:
     """Plans once, with the model, and plays the plan; a batch flies what its first world was planned for.
 
     Attributes:
-        make_cost: the running cost on the estimated channel.
-        make_guesses: where the solver starts from.
+        cost: weights of the running cost.
         intervals: N.
-        position_gain, velocity_gain: see PlanPolicy.
-        plan: what `fit` found.
+        speeds_mps: of the guesses along the map, m/s.
+        position_gain, velocity_gain: see PlanAgent.
     """
 
-    make_cost: CostFactory
-    make_guesses: Callable[[Relay, RelayCost, ChainTargets], Sequence[Guess]]
+    cost: CostWeights
     intervals: int = 200
+    speeds_mps: Sequence[float] = (0.8,)
     position_gain: Sequence[float] = POSITION_GAIN
     velocity_gain: Sequence[float] = VELOCITY_GAIN
-    plan: Plan = field(init=False)
 
-    def fit(self, env: Relay, estimate: ChannelEstimate) -> Policy:
-        targets = mean_channel_targets(env.scenario, estimate.channel)
-        cost = self.make_cost(estimate.channel, targets)
-        self.plan = optimise(env, cost, targets, self.make_guesses(env, cost, targets), self.intervals)
-        return PlanPolicy(env, self.plan, self.position_gain, self.velocity_gain)
+    def plan(self, env: Relay, estimate: ChannelEstimate) -> Plan:
+        """The best plan from all guesses, in the first world."""
+        mission = Mission(env, estimate.channel, self.cost)
+        return optimise(mission, guesses_on_the_map(mission, self.speeds_mps, self.intervals), self.intervals)
+
+    def fit(self, env: Relay, estimate: ChannelEstimate) -> Agent:
+        """Plan, and play it."""
+        return PlanAgent(env, self.plan(env, estimate), self.position_gain, self.velocity_gain)

@@ -10,10 +10,9 @@ import torch
 from torch import Tensor
 
 from uwirl.motion.avoidance import Avoidance, Printed, smooth
-from uwirl.motion.baselines.guesses import Guess, of_world
-from uwirl.motion.cost import RelayCost
-from uwirl.motion.targets import ChainTargets
-from uwirl.world.relay import Relay
+from uwirl.baselines.guesses import Guess, of_world
+from uwirl.motion.mission import Mission
+from uwirl.world.geometry import rotation_matrix
 from uwirl.world.vehicle import Vehicle
 
 ROUNDING_M = 1e-3  # keeps a hop differentiable where the vehicle is on top of a node
@@ -29,8 +28,9 @@ class Collocation:
     """
 
     def __init__(
-        self, ca: Any, env: Relay, cost: RelayCost, targets: ChainTargets, N: int, world: int, separation_m: float
+        self, ca: Any, mission: Mission, N: int, world: int, separation_m: float
     ):
+        env, cost, targets = mission.env, mission.cost, mission.targets
         assert isinstance(env.vehicle, Vehicle), "who plans with the model needs one"
         self.ca, self.scenario, self.vehicle, self.cost, self.world = ca, env.scenario, env.vehicle, cost, world
         self.start = of_world(env.scenario.start, 2, world).cpu()
@@ -41,7 +41,7 @@ class Collocation:
         self.tau = [limit * part for limit, part in zip(limits, ca.vertsplit(u, self.M), strict=True)]
         self.axes = self._axes()
         bearing = of_world(targets.frame.bearing, 1, world)
-        offset = Vehicle.rotation_matrix(bearing)[:, :3, :3] @ of_world(cost.neighbours, 3, world).mT
+        offset = rotation_matrix(bearing)[:, :3, :3] @ of_world(cost.neighbours, 3, world).mT
         neighbours = of_world(targets.frame.target, 2, world)[..., None] + offset
         links = [self._link(node) for node in neighbours.unbind(-1)]
         f = ca.vertcat(*self._derivative())
@@ -93,18 +93,18 @@ class Collocation:
         K, n = (self._always(value.expand(self.M)) for value in values)
         squared = sum((self.x[k] - self._always(node[:, k])) ** 2 for k in range(3))
         hop = ca.sqrt(squared + ROUNDING_M**2)
-        snr = K - 10.0 * n * ca.log10(hop) - channel.known_loss_dB(hop)
-        capacity = channel.bandwidth_khz * ca.log1p(10.0 ** (snr / 10.0)) / math.log(2.0)
-        return cost.beta_1 / capacity**2 - self._always(of_world(cost.minimum, 1, self.world))
+        snr = K - 10.0 * n * ca.log10(hop) - channel.budget.known_loss_dB(hop)
+        capacity = channel.budget.bandwidth_khz * ca.log1p(10.0 ** (snr / 10.0)) / math.log(2.0)
+        return cost.weights.beta_1 / capacity**2 - self._always(of_world(cost.minimum, 1, self.world))
 
     def _running(self, bearing: Tensor) -> Any:
         """Integrand of each vehicle's J, but for its links."""
         ca, cost = self.ca, self.cost
-        q = cost.yaw_weight * (1.0 - ca.cos(self.x[3] - self._always(bearing)))
+        q = cost.weights.yaw_weight * (1.0 - ca.cos(self.x[3] - self._always(bearing)))
         for offset, radius, influence in self.axes:
             # Inside the cylinder, where no plan may be but a guess may, 1/l would explode.
             l = ca.sqrt(ca.fmax(sum(x**2 for x in offset), radius**2))
-            q += cost.beta_2 * _avoidance(ca, cost.avoidance, l, influence)
+            q += cost.weights.beta_2 * _avoidance(ca, cost.weights.avoidance, l, influence)
         for R, tau, trim in zip(cost.R.tolist(), self.tau, self.vehicle.trim.tolist(), strict=True):
             q += R * (tau - trim) ** 2
         return q

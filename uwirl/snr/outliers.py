@@ -11,8 +11,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from uwirl.snr.measurements import Readings
-from uwirl.world.acoustics import Channel
+from uwirl.world.messages import Readings
+from uwirl.world.acoustics import LinkBudget
 
 # Robust standard deviations beyond which a reading or a sensor is not believed; few of them make the scale uncertain.
 CUT, FEW = 4.0, 5.0
@@ -41,12 +41,12 @@ def unlike(values: Tensor) -> Tensor:
     return deviation > CUT * (1.0 + FEW / max(count, 1)) * scale
 
 
-def screen(readings: Readings, known: Channel) -> Readings:
+def reject_outliers(readings: Readings, budget: LinkBudget) -> Readings:
     """The same readings, with nan instead of those that are not believed."""
     distance = readings.distance
     log_distance = -10.0 * torch.log10(distance)
     kept = []
-    for data in readings.snr + known.known_loss_dB(distance):
+    for data in readings.snr + budget.known_loss_dB(distance):
         heard = ~data.isnan()
         slope, intercept = repeated_median(log_distance[heard], data[heard])
         residual = data - slope * log_distance - intercept
@@ -56,4 +56,4 @@ def screen(readings: Readings, known: Channel) -> Readings:
             typical = torch.where(often, residual.nanmedian(0).values, torch.nan)
             refused |= unlike(typical)
         kept.append(torch.where(refused, torch.nan, data))
-    return replace(readings, snr=torch.stack(kept) - known.known_loss_dB(distance))
+    return replace(readings, snr=torch.stack(kept) - budget.known_loss_dB(distance))

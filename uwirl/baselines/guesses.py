@@ -9,10 +9,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwirl.motion.cost import RelayCost
-from uwirl.motion.pilot import Pilot
+from uwirl.motion.mission import Mission
 from uwirl.motion.route import MapSettings, Router
+from uwirl.motion.route_tracker import RouteTracker
 from uwirl.motion.targets import ChainTargets
+from uwirl.world.geometry import rotation_matrix, wrapped
 from uwirl.world.relay import Relay, Trajectory
 from uwirl.world.vehicle import Vehicle
 
@@ -57,7 +58,7 @@ def guess_along(
     flights = zip(paths, start, depth, strict=True)
     eta = torch.stack([_fly(path.to(start), pose, z, travelled, CORNER_S / h, turn) for path, pose, z in flights], 1)
     velocity = torch.gradient(eta, spacing=h, dim=0)[0]
-    nu = (Vehicle.rotation_matrix(eta[..., 3]).mT @ velocity[..., None])[..., 0]
+    nu = (rotation_matrix(eta[..., 3]).mT @ velocity[..., None])[..., 0]
     assert isinstance(env.vehicle, Vehicle), "who plans with the model needs one"
     tau = (env.vehicle.damping_matrix(nu) @ nu[..., None])[..., 0] + env.vehicle.trim
     return Guess(name, eta, nu, env.vehicle.saturate(tau))
@@ -71,7 +72,7 @@ def _fly(path: Tensor, start: Tensor, depth: Tensor, travelled: Tensor, corner: 
     psi = start[3].expand_as(z)
     if turn:
         bearing = torch.cat([start[3:], torch.atan2(legs[:, 1], legs[:, 0])])
-        turns = torch.remainder(bearing.diff() + math.pi / 2.0, math.pi) - math.pi / 2.0
+        turns = wrapped(bearing.diff(), math.pi)
         psi = (start[3] + turns.cumsum(0))[torch.searchsorted(arc, travelled).clamp(1, len(legs)) - 1]
     eta = torch.cat([interpolate(travelled, arc, path), z[:, None], psi[:, None]], -1)
     half = round(corner / 2.0)
@@ -87,17 +88,17 @@ def guess_from(trajectory: Trajectory, world: int = 0, intervals: int = 200, nam
     return Guess(name, x[..., :4], x[..., 4:], trajectory.tau[at.long().clamp_max(steps - 1), world].double())
 
 
-def guesses_on_the_map(
-    env: Relay, cost: RelayCost, targets: ChainTargets, speeds: Sequence[float], intervals: int, world: int = 0
-) -> list[Guess]:
+def guesses_on_the_map(mission: Mission, speeds: Sequence[float], intervals: int, world: int = 0) -> list[Guess]:
     """Flights along the eikonal map at several speeds, m/s, bow or stern ahead and with the first heading kept."""
-    one = env.select(torch.tensor([world], device=env.streams.seed.device))
-    pilot = Pilot(one, Router(one.scenario, targets.frame, cost, 0.0, MapSettings(spacing_m=0.5)))
-    state = one.reset()
-    pilot.update(state, 0)
-    paths = [pilot.ways.map.path(state.position[:, m : m + 1, :2].double())[m, 0] for m in range(one.scenario.vehicles)]
+    one = mission.env.select(torch.tensor([world], device=mission.env.streams.seed.device))
+    router = Router(one.scenario, mission.targets.frame, mission.cost, 0.0, MapSettings(spacing_m=0.5))
+    state, observation = one.reset()
+    plan, position = RouteTracker(one.scenario, router).begin(observation).plan, state.vehicles.position
+    paths = [plan.map.path(position[:, m : m + 1, :2].double())[m, 0] for m in range(one.scenario.vehicles)]
     return [
-        guess_along(one, targets, paths, speed, intervals, turn, name=f"map, {speed:g} m/s{', turned' if turn else ''}")
+        guess_along(
+            one, mission.targets, paths, speed, intervals, turn, name=f"map, {speed:g} m/s{', turned' if turn else ''}"
+        )
         for speed in speeds
         for turn in (False, True)
     ]

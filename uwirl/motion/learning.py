@@ -1,0 +1,185 @@
+"""A mission's second stage as it is learned: the problem, fixed by the estimate, and a state that goes from leg to leg."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwirl.irl.bellman import BellmanOperator
+from uwirl.irl.networks import LinearActor, LinearCritic
+from uwirl.irl.policy_iteration import InsufficientDataError, LearnerState, PolicyIteration
+from uwirl.irl.solvers import Bounds
+from uwirl.motion.calibration import calibration_hover
+from uwirl.motion.experience import FlightState, Leg, contacts_while
+from uwirl.motion.features import MotionBasis
+from uwirl.motion.linear_agent import LinkController
+from uwirl.motion.mission import Mission
+from uwirl.motion.recorder import Recorder, Window
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.world.agent import Agent
+from uwirl.world.relay import Relay
+
+if TYPE_CHECKING:
+    from uwirl.motion.irl_planner import IrlPlanner
+
+
+class LearningState(NamedTuple):
+    """What is known when a leg of the learning flight is over: enough to go on as if never interrupted, bitwise.
+
+    Attributes:
+        flight: where the flight stands.
+        learner: what was learned.
+        trim: tau that holds a vehicle at rest, as measured, [L, 4].
+        start: weights that learning started from, [L, n3].
+        seconds: of vehicle time, s.
+        contacts: with obstacles while learning.
+    """
+
+    flight: FlightState
+    learner: LearnerState
+    trim: Tensor
+    start: Tensor
+    seconds: float
+    contacts: int
+
+
+@dataclass(frozen=True)
+class IterationRecord:
+    """One policy evaluation and improvement.
+
+    Attributes:
+        iteration: s, from 1.
+        seconds: vehicle time used so far, s.
+        critic: weights [L, n2].
+        actor: weights of the improved policy, [L, n3].
+        weight_change: relative change of the actor's weights, the largest over the learners.
+        converged: epsilon_3 holds.
+        rows: of experience so far, for each learner.
+        closes: whether it is the last of its leg.
+    """
+
+    iteration: int
+    seconds: float
+    critic: Tensor
+    actor: Tensor
+    weight_change: float
+    converged: bool
+    rows: int
+    closes: bool
+
+
+class Learning:
+    """The second loop of Algorithm 1, one leg at a time.
+
+    Args:
+        planner: its settings.
+        env: the worlds to fly in.
+        estimate: the channel to count on.
+    """
+
+    def __init__(self, planner: IrlPlanner, env: Relay, estimate: ChannelEstimate):
+        self.planner, self.env = planner, env
+        self.mission = Mission(env, estimate.channel, planner.cost)
+        self.learners = planner.experience.learners(env)
+        # One row a learner, as segments have them; hops are equal, so that one learner serves all vehicles.
+        device = self.mission.targets.neighbours.device
+        self.cost = self.mission.cost.of(torch.arange(self.learners, device=device))
+        self.basis: MotionBasis = planner.basis(self.cost)
+        sizes = [len(names) for names in self.basis.actor_names]
+        self.operator = BellmanOperator(
+            len(self.basis.critic_names), sizes, self.cost.R, actor_sign=planner.sign
+        )
+        bounds = self.basis.bounds(planner.inertia_lower, env.scenario.dt)
+        solver = planner.solver(self.operator, Bounds(bounds.lower.to(device), bounds.upper.to(device)))
+        self.iteration = PolicyIteration(solver, self.operator.unknowns, planner.updates, planner.tolerance_weights)
+
+    def init(self, weights: Tensor | None = None) -> LearningState:
+        """Hover, to measure the trim.
+
+        Args:
+            weights: to start from, [L, n3]; None for those of the basis, times start_gain.
+
+        Raises:
+            InadmissiblePolicyError: the start policy does not bring the cost down.
+        """
+        planner, device = self.planner, self.mission.targets.neighbours.device
+        if weights is None:
+            weights = (planner.start_gain * self.basis.start_weights()).repeat(self.learners, 1)
+        # Weights are float64 whatever the environment's dtype.
+        start = weights.to(device, copy=True)
+        hovering = self.basis.hovering(start)
+        hover, trim = calibration_hover(self.env, hovering, self.mission.cost, planner.calibration_s, planner.guard)
+        trim = trim.mean(0, keepdim=True) if self.learners == 1 else trim
+        critic = LinearCritic(self.basis, self.learners).to(device)
+        learner = self.iteration.init(start, critic.weight)
+        flight = planner.experience.begin(hover)
+        return LearningState(flight, learner, trim, start, planner.calibration_s, contacts_while(self.env, hover))
+
+    def fly(self, state: LearningState) -> tuple[Leg, LearningState]:
+        """The next leg, with the newest weights, and the state after it, which has not learned from it yet."""
+        actor = LinearActor(self.basis, state.learner.actor)
+        leg = self.planner.experience.fly(self.env, state.flight, actor, self._recorder(state), self.planner.guard)
+        contacts = state.contacts + leg.contacts
+        return leg, state._replace(flight=leg.after, seconds=state.seconds + leg.seconds, contacts=contacts)
+
+    def improve(self, state: LearningState, leg: Leg) -> LearningState:
+        """Evaluate the policy by what was flown, and improve it, `updates` times."""
+        return state._replace(learner=self.iteration.update(state.learner, leg.batch))
+
+    def is_over(self, state: LearningState) -> bool:
+        """Whether the weights have settled, or the time is up.
+
+        Raises:
+            InsufficientDataError: the time was up with fewer rows than unknowns.
+        """
+        late = state.flight.leg > 0 and state.seconds >= self.planner.max_time_s
+        learner = state.learner
+        if late and not learner.iteration:
+            unknowns = self.operator.unknowns
+            raise InsufficientDataError(
+                f"planner.max_time_s: {learner.rows} rows of experience for {unknowns} unknown weights: fly longer"
+            )
+        return late or learner.settled
+
+    def records(self, state: LearningState) -> list[IterationRecord]:
+        """Of the policy iterations after the newest leg."""
+        learner = state.learner
+        last = len(learner.iterates) - 1
+        return [
+            IterationRecord(
+                iterate.iteration,
+                state.seconds,
+                iterate.critic,
+                iterate.actor,
+                iterate.change,
+                learner.settled and k == last,
+                learner.rows,
+                k == last,
+            )
+            for k, iterate in enumerate(learner.iterates)
+        ]
+
+    def agent(self, weights: Tensor, trim: Tensor, env: Relay | None = None) -> Agent:
+        """The agent with some weights.
+
+        Args:
+            weights: of the actor, [L, n3].
+            trim: tau that holds a vehicle at rest, [1 or L, 4].
+            env: other worlds between the same nodes to lead it in; these if None.
+        """
+        mission = self.mission if env is None else Mission(env, self.mission.channel, self.mission.weights)
+        return self.planner.guidance(mission)(self.controller(weights, trim))
+
+    def controller(self, weights: Tensor, trim: Tensor) -> LinkController:
+        """What such an agent is near its target, with weights [L, n3] and trim [1 or L, 4]."""
+        return LinkController(self.mission.targets.frame, LinearActor(self.basis, weights), trim)
+
+    def _recorder(self, state: LearningState) -> Recorder:
+        planner, scenario = self.planner, self.env.scenario
+        window = Window(round(planner.window_s / scenario.dt), round(planner.stride_s / scenario.dt))
+        return Recorder(
+            self.basis, self.operator, self.cost, state.trim, window, planner.residual_floor, scenario.depth
+        )

@@ -1,0 +1,124 @@
+"""Acoustic messages: SNR readings of who heard whom and how well (eqs 9-10), and what vehicles tell each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwirl.world.geometry import distances
+from uwirl.world.random import RandomStreams, Stream
+from uwirl.world.scenario import Scenario
+from uwirl.world.truth import Truth, truth_of
+
+if TYPE_CHECKING:
+    from uwirl.world.relay import Relay
+
+
+class Messages(NamedTuple):
+    """What each of M vehicles [B, M] has received in this step; entry j of the third dimension is from vehicle j.
+
+    Vehicles tell each other their poses at every step; an entry about the vehicle itself is its own.
+
+    Attributes:
+        eta: poses, [B, M, M, 4].
+        nu: velocities, [B, M, M, 4].
+        target: where each means to go, [B, M, M, 3], m; nan of a vehicle that has not said.
+        snr: readings of the vehicle's own message, of the source's and of the destination's by each of the N sensors
+            that answered it, [B, M, 3, N], dB, nan where nothing was heard; [B, M, 3, 0] in a step without a message.
+    """
+
+    eta: Tensor
+    nu: Tensor
+    target: Tensor
+    snr: Tensor
+
+
+def told_to_all(values: Tensor) -> Tensor:
+    """Values [..., M, k] of each vehicle as all of them receive these, [..., M, M, k], a view."""
+    return values[..., None, :, :].expand(*values.shape[:-1], *values.shape[-2:])
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What each of N sensors reads of each of S messages; B data sets may have been read at the same places.
+
+    Attributes:
+        transmitters: where the messages were sent, [S, 3], m.
+        receivers: the sensors, [N, 3], m.
+        snr: Y, [B, S, N], dB; nan where nothing was heard.
+    """
+
+    transmitters: Tensor
+    receivers: Tensor
+    snr: Tensor
+
+    @property
+    def distance(self) -> Tensor:
+        """[S, N], m."""
+        return distances(self.transmitters, self.receivers)
+
+    def select(self, rows: Tensor | slice) -> Readings:
+        """Some of the data sets."""
+        return replace(self, snr=self.snr[rows])
+
+
+def transmitters(scenario: Scenario, position: Tensor) -> Tensor:
+    """Where the messages of one exchange are sent: vehicle [..., 3], source and destination; [..., 3, 3], float64, m."""
+    nodes = [node.expand_as(position) for node in (scenario.source, scenario.destination)]
+    return torch.stack([position, *nodes], -2).to(torch.float64)
+
+
+def snr_heard(
+    scenario: Scenario, truth: Truth, streams: RandomStreams, position: Tensor, vehicle: int, message: int | Tensor
+) -> Tensor:
+    """SNR that the sensors read of one vehicle's message, and of the source's and the destination's.
+
+    The vehicle asks, and the sensors within hearing range answer (the set N_i) with what they read of it and, being
+    nodes of the same network, of source and destination where they hear those. A reading is mean SNR (6) plus
+    shadowing plus multipath, the latter drawn anew for each.
+
+    Args:
+        scenario: sensors and hearing range.
+        truth: the channel.
+        streams: random numbers of B worlds.
+        position: of the vehicle, [B, 3], m.
+        vehicle: its number.
+        message: the number of its message, from 0; a number or int64 [B].
+
+    Returns:
+        [B, 3, N], dB; nan where nothing was heard or not answered.
+    """
+    sent, sensors = transmitters(scenario, position), scenario.sensors.to(torch.float64)
+    distance = distances(sent, sensors)
+    ends = sent[..., None, :].expand(*distance.shape, 3), sensors.expand(*distance.shape, 3)
+    shadowing = truth.shadowing(*(end.flatten(1, 2) for end in ends)).view_as(distance)
+    draw = message * scenario.vehicles + vehicle
+    multipath = streams.normal(Stream.MEASUREMENT, draw, distance[0].numel()).view_as(distance)
+    snr = truth.channel.mean_snr_dB(distance) + shadowing + truth.channel.rho_dB * multipath
+    heard = distance <= scenario.hearing_range
+    return torch.where(heard & heard[:, :1], snr, torch.nan)
+
+
+def take_readings(env: Relay, vehicle: int = 0, world: int = 0) -> Readings:
+    """Readings from the start of a mission, by the sensors that answered: one data set, [1, 3, N_i].
+
+    Args:
+        env: holds the sensors and the random numbers.
+        vehicle: who asks.
+        world: which one.
+    """
+    one = env.select(torch.tensor([world], device=env.streams.seed.device))
+    start = one.scenario.start if one.scenario.start.ndim == 2 else one.scenario.start[0]
+    position = start[vehicle, :3]
+    snr = snr_heard(one.scenario, truth_of(one), one.streams, position[None], vehicle, 0)
+    answering = ~snr[0, 0].isnan()
+    sensors = one.scenario.sensors.to(torch.float64)
+    return Readings(transmitters(one.scenario, position), sensors[answering], snr[..., answering])
+
+
+def readings_of_each_vehicle(env: Relay) -> list[Readings]:
+    """Of all vehicles in the first world, before anything moves."""
+    return [take_readings(env, vehicle) for vehicle in range(env.scenario.vehicles)]

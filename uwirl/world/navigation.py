@@ -1,0 +1,56 @@
+"""How well a vehicle knows where it is: noise on what its instruments tell, and a position that drifts away.
+
+Without position fixes a vehicle integrates its velocity, whose small constant error becomes a position error that grows
+with time, as that of a Doppler log does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from uwirl.world.random import RandomStreams, Stream
+
+
+@dataclass(frozen=True)
+class Navigation:
+    """Standard deviations; all zero is a vehicle that knows its pose exactly.
+
+    Attributes:
+        position_m: of each reading of x, y, z, m.
+        yaw_rad: of each reading of psi, rad.
+        velocity_mps: of each reading of u, v, w, m/s.
+        yaw_rate_rad_s: of each reading of r, rad/s.
+        drift_mps: of the velocity at which the horizontal position drifts away, constant over a mission, m/s.
+    """
+
+    position_m: float = 0.0
+    yaw_rad: float = 0.0
+    velocity_mps: float = 0.0
+    yaw_rate_rad_s: float = 0.0
+    drift_mps: float = 0.0
+
+    @property
+    def is_exact(self) -> bool:
+        return not any((self.position_m, self.yaw_rad, self.velocity_mps, self.yaw_rate_rad_s, self.drift_mps))
+
+    def error(self, streams: RandomStreams, step: Tensor, time: Tensor, vehicles: int) -> Tensor:
+        """What is added to the true (eta, nu), [B, M, 8], a pure function of world and step.
+
+        Args:
+            streams: B worlds.
+            step: int64 [B].
+            time: since the flight began, [B], s.
+            vehicles: M.
+        """
+        std = torch.tensor(
+            [*[self.position_m] * 3, self.yaw_rad, *[self.velocity_mps] * 3, self.yaw_rate_rad_s],
+            dtype=torch.float64,
+            device=step.device,
+        )
+        # Steps count from 1, because the numbers of step 0 give the drift.
+        noise = std * streams.normal(Stream.NAVIGATION, 1 + step, 8 * vehicles).view(-1, vehicles, 8)
+        drift = self.drift_mps * streams.normal(Stream.NAVIGATION, 0, 2 * vehicles).view(-1, vehicles, 2)
+        return noise + torch.nn.functional.pad(drift * time[:, None, None], (0, 6))

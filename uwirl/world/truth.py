@@ -1,0 +1,72 @@
+"""What nobody in the water knows: the channel as it is.
+
+Readings are simulated from it, the estimator `oracle` is told it, and missions are judged by it. Everyone else gets
+readings and a link budget; `truth_of` is the only way here, and tests/test_floors.py holds who may import it.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from uwirl.world.acoustics import Channel
+from uwirl.world.fading import Shadowing, ShadowingField
+from uwirl.world.random import RandomStreams
+
+if TYPE_CHECKING:
+    from uwirl.world.relay import Relay
+
+
+class Truth:
+    """The channel of B worlds between two nodes.
+
+    Args:
+        channel: path loss, noise and the statistics of fading.
+        source, destination: [3], m.
+        streams: the worlds' random numbers.
+    """
+
+    def __init__(self, channel: Channel, source: Tensor, destination: Tensor, streams: RandomStreams):
+        self.channel = channel
+        self.source = source
+        self.destination = destination
+        self.streams = streams
+
+    @cached_property
+    def shadowing(self) -> ShadowingField:
+        """Of each world's links, from their ends [..., B, *, 3] in the order of the field."""
+        return Shadowing(float(self.channel.zeta_dB), float(self.channel.varphi_m)).realise(self.streams)
+
+    def snr_dB(self, first: Tensor, second: Tensor) -> Tensor:
+        """Shadowed SNR of links with ends [Q, 3] in the order of the field, in the first world, [Q], dB."""
+        distance = torch.linalg.vector_norm(first - second, dim=-1)
+        return self.channel.mean_snr_dB(distance) + self.shadowing(first[None], second[None])[0]
+
+    def chain(self, position: Tensor) -> Tensor:
+        """Nodes of the communication chain in order, source first, [..., M + 2, 3], of vehicles at [..., M, 3]."""
+        shape = (*position.shape[:-2], 1, 3)
+        return torch.cat([self.source.expand(shape), position, self.destination.expand(shape)], -2)
+
+    def link_capacities_kbps(self, position: Tensor, shadowed: bool = False) -> Tensor:
+        """Capacity of each link, [..., M + 1], of vehicles at [..., M, 3]; the chain's is their minimum (5).
+
+        Args:
+            position: [..., M, 3], or [..., B, M, 3] where shadowed, m.
+            shadowed: whether of path loss and shadowing, or of path loss alone, the mean capacity.
+        """
+        chain = self.chain(position)
+        snr = self.channel.mean_snr_dB(torch.linalg.vector_norm(chain.diff(dim=-2), dim=-1))
+        if shadowed:
+            # The field's ends stand in the order source < destination < vehicles.
+            first, second = chain[..., :-1, :].clone(), chain[..., 1:, :].clone()
+            first[..., -1, :], second[..., -1, :] = chain[..., -1, :], chain[..., -2, :]
+            snr = snr + self.shadowing(first, second).to(snr.dtype)
+        return self.channel.capacity_kbps(snr)
+
+
+def truth_of(env: Relay) -> Truth:
+    """The channel behind an environment."""
+    return env._truth
