@@ -97,7 +97,7 @@ class BellmanOperator:
 
     @property
     def unknowns(self) -> int:
-        return self.n2 + self.n3 + self.average_cost
+        return self.n2 + self.n3 + int(self.average_cost)
 
     def z(self, segment: Segment) -> Tensor:
         """The policy-free vector [..., nz] of windows [...]; where g_bar is an unknown, T stands at its end."""
@@ -105,13 +105,9 @@ class BellmanOperator:
         return torch.cat([*columns, segment.duration[..., None]] if self.average_cost else columns, -1)
 
     def split(self, unknowns: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
-        """W_c [..., n2], W+ [..., n3] and g_bar [...] of unknowns [..., n]; g_bar is None where it is not one of them.
-
-        All are copies, so that none keeps the others in memory or in a file.
-        """
-        actor = slice(self.n2, self.n2 + self.n3)
-        average_cost = unknowns[..., -1].clone() if self.average_cost else None
-        return unknowns[..., : self.n2].clone(), unknowns[..., actor].clone(), average_cost
+        """W_c [..., n2], W+ [..., n3] and g_bar [...] of unknowns [..., n]; None for g_bar if it is not one of them."""
+        critic, actor, rest = unknowns.split([self.n2, self.n3, int(self.average_cost)], -1)
+        return critic, actor, rest[..., 0] if self.average_cost else None
 
     def products(self, phi3: Tensor) -> Tensor:
         """vech phi3_k phi3_k' axis by axis, [..., g], of phi3 [..., n3]."""
@@ -157,7 +153,7 @@ class BellmanOperator:
         g = self.pairing.shape[1]
         critic, actor = slice(self.n2), slice(self.n2, self.n2 + self.n3)
         gram, cost = slice(actor.stop, actor.stop + g), actor.stop + g
-        nz = cost + 1 + self.average_cost
+        nz = cost + 1 + int(self.average_cost)
         L = weights.new_zeros(*batch, self.unknowns, nz)
         L[..., critic, critic] = torch.eye(self.n2, dtype=weights.dtype, device=weights.device)
         L[..., actor, actor] = torch.diag(2.0 * self.actor_sign * R)

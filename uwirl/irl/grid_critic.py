@@ -5,7 +5,7 @@ least integral of the slowness w over the ways to the target, and its steepest d
 minima globally, which quadratic and network critics do not.
 
 A grid has one, two or three axes in any units, each with a spacing of its own. Lengths are taken in the coordinates as
-they are given: |grad Phi|_(R^-1) = w with a diagonal R becomes one of these equations once axis i is scaled by sqrt R_i.
+they are given: |grad Phi|_(R^-1) = w with a diagonal R becomes such an equation once axis i is scaled by sqrt(R_i).
 """
 
 from __future__ import annotations

@@ -117,12 +117,17 @@ class PolicyIteration(Generic[S]):
     def _iterate(self, state: LearnerState[S]) -> LearnerState[S]:
         solution, solver = self.solver.solve(state.solver, state.actor)
         change = _relative_change(solution.actor, state.actor)
-        iterate = Iterate(state.iteration + 1, solution.critic, solution.actor, change)
+        # Copies in row order: how a product rounds depends on the layout, which a state that comes back from elsewhere
+        # has lost, and a view would keep all that was solved for in memory.
+        critic, actor = (
+            weights.clone(memory_format=torch.contiguous_format) for weights in (solution.critic, solution.actor)
+        )
+        iterate = Iterate(state.iteration + 1, critic, actor, change)
         return state._replace(
             solver=solver,
-            critic=solution.critic,
-            actor=solution.actor,
-            average_cost=solution.average_cost,
+            critic=critic,
+            actor=actor,
+            average_cost=None if solution.average_cost is None else solution.average_cost.clone(),
             iteration=iterate.iteration,
             settled=state.settled and change < self.tolerance,
             iterates=(*state.iterates, iterate),
