@@ -7,6 +7,8 @@ Needs SciPy (extra `test`) for the Riccati solutions.
 
 from __future__ import annotations
 
+from typing import Any
+
 import hydra
 import numpy as np
 import torch
@@ -19,9 +21,8 @@ from uwirl.irl.bellman import BellmanOperator, Segment
 from uwirl.irl.control_affine import simulate
 from uwirl.irl.least_squares import Regularisation
 from uwirl.irl.linear_quadratic import LinearQuadratic, f16, power_system
-from uwirl.irl.networks import Basis, LinearActor, LinearCritic
-from uwirl.irl.policy_iteration import StoppingRule, policy_iteration
-from uwirl.irl.solvers import BatchLeastSquares, Experience, Solver, ZRecursiveLeastSquares
+from uwirl.irl.policy_iteration import LearnerState, PolicyIteration
+from uwirl.irl.solvers import Batch, BatchLeastSquares, Solver, ZRecursiveLeastSquares
 
 
 def riccati_gain(problem: LinearQuadratic) -> Tensor:
@@ -35,14 +36,12 @@ def relative_error(found: Tensor, expected: Tensor) -> float:
     return float(torch.linalg.vector_norm(found - expected) / torch.linalg.vector_norm(expected))
 
 
-def learn(basis: Basis, solver: Solver, segment: Segment, start: Tensor, updates: int = 30) -> LinearActor:
+def learn(
+    operator: BellmanOperator, solver: Solver[Any], segment: Segment, start: Tensor, updates: int = 30
+) -> LearnerState[Any]:
     """Policy iteration on one stretch of experience [S, 1] from an admissible policy [1, n3]."""
-    actor, critic = LinearActor(basis, start.clone()), LinearCritic(basis, dtype=start.dtype)
-    for _ in policy_iteration(
-        [Experience(segment, None, 0.0, 0.0)], solver, actor, critic, updates, StoppingRule(0.0, 0.0)
-    ):
-        pass
-    return actor
+    learner = PolicyIteration(solver, operator.unknowns, updates, tolerance=0.0)
+    return learner.update(learner.init(start, start.new_zeros(1, operator.n2)), Batch((segment,)))
 
 
 def column(segment: Segment, dtype: torch.dtype = torch.float64) -> Segment:
@@ -66,7 +65,7 @@ def multisine(worlds: int, axes: int, generator: torch.Generator) -> tuple[Tenso
 
 
 def sampled_experience(problem: LinearQuadratic, K: Tensor, generator: torch.Generator) -> Segment:
-    """200 windows of 0.1 s, sampled at dt = 0.01 s, flown with a gain K and a multisine."""
+    """200 windows of 0.1 s, sampled at dt = 0.01 s, under a gain K and a multisine."""
     worlds, dt, steps, windows = 20, 0.01, 10, 10
     n, m = problem.B.shape
     omega, phase = multisine(worlds, m, generator)
@@ -91,14 +90,14 @@ def known_linear_systems(generator: torch.Generator) -> dict[str, float]:
         start = torch.zeros(1, problem.operator.n3, dtype=torch.float64)
         solver = ZRecursiveLeastSquares(problem.operator, Regularisation())
         exact = exact_experience(problem, generator)
-        actor = learn(problem.basis, solver, column(exact), start)
-        errors[f"gain_error_{name}"] = relative_error(problem.gain(actor.weight)[0], expected)
+        learned = learn(problem.operator, solver, column(exact), start)
+        errors[f"gain_error_{name}"] = relative_error(problem.gain(learned.actor)[0], expected)
         qr = BatchLeastSquares(problem.operator, Regularisation())
-        actor = learn(problem.basis, qr, column(exact, torch.float32), start.float())
-        errors[f"gain_error_{name}_float32"] = relative_error(problem.gain(actor.weight)[0].double(), expected)
+        learned = learn(problem.operator, qr, column(exact, torch.float32), start.float())
+        errors[f"gain_error_{name}_float32"] = relative_error(problem.gain(learned.actor)[0].double(), expected)
         sampled = column(sampled_experience(problem, torch.zeros_like(expected), generator))
-        actor = learn(problem.basis, BatchLeastSquares(problem.operator, Regularisation()), sampled, start)
-        errors[f"gain_error_{name}_sampled"] = relative_error(problem.gain(actor.weight)[0], expected)
+        learned = learn(problem.operator, qr, sampled, start)
+        errors[f"gain_error_{name}_sampled"] = relative_error(problem.gain(learned.actor)[0], expected)
     return errors
 
 
@@ -124,13 +123,13 @@ def random_systems(count: int, generator: torch.Generator) -> tuple[list[float],
         other = LinearQuadratic(problem.A, problem.B, torch.eye(len(problem.A), dtype=torch.float64), 0.3 * problem.R)
         start = -riccati_gain(other).flatten()[None]
         exact = column(exact_experience(problem, generator))
-        solvers: tuple[Solver, Solver] = (
+        solvers: tuple[Solver[Any], Solver[Any]] = (
             BatchLeastSquares(problem.operator, Regularisation()),
             ZRecursiveLeastSquares(problem.operator, Regularisation()),
         )
         for solver, found in zip(solvers, errors, strict=True):
-            actor = learn(problem.basis, solver, exact, start)
-            found.append(relative_error(problem.gain(actor.weight)[0], riccati_gain(problem)))
+            learned = learn(problem.operator, solver, exact, start)
+            found.append(relative_error(problem.gain(learned.actor)[0], riccati_gain(problem)))
     return errors
 
 
@@ -167,13 +166,13 @@ def nonlinear_closed_form(generator: torch.Generator) -> dict[str, float]:
     segment = operator.segment(basis.critic(x), basis.actor(x), tau, x.square().sum(-1), 0.01, 10, 10, held=False)
     pooled = column(Segment(*(part.flatten(0, 1) for part in segment)))
     solver = BatchLeastSquares(operator, Regularisation())
-    actor = learn(basis, solver, pooled, torch.zeros(1, 2, dtype=torch.float64))
-    critic = solver.solve(actor.weight).critic
+    learned = learn(operator, solver, pooled, torch.zeros(1, 2, dtype=torch.float64))
+    evaluated, _ = solver.solve(learned.solver, learned.actor)
     value = torch.tensor([[0.5, 0.0, 1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
     policy = torch.tensor([[0.0, -1.0]], dtype=torch.float64)
     return {
-        "value_error_nonlinear": relative_error(critic, value),
-        "policy_error_nonlinear": relative_error(actor.weight, policy),
+        "value_error_nonlinear": relative_error(evaluated.critic, value),
+        "policy_error_nonlinear": relative_error(learned.actor, policy),
     }
 
 

@@ -28,7 +28,7 @@ class QuadraticBasis:
 
     def critic(self, x: Tensor) -> Tensor:
         """[..., n (n + 1) / 2]."""
-        return x[..., self.first] * x[..., self.second]
+        return x[..., self.first.to(x.device)] * x[..., self.second.to(x.device)]
 
     def actor(self, x: Tensor) -> Tensor:
         """[..., m n]."""
@@ -63,13 +63,13 @@ class LinearQuadratic:
         With y = [x; tau], y y' obeys a linear differential equation, so its integral is a matrix exponential.
         """
         n, m = self.B.shape
-        F = torch.zeros(n + m, n + m, dtype=self.A.dtype)
+        F = self.A.new_zeros(n + m, n + m)
         F[:n, :n], F[:n, n:] = self.A, self.B
-        identity = torch.eye(n + m, dtype=self.A.dtype)
+        identity = torch.eye(n + m).to(F)
         K = torch.kron(F, identity) + torch.kron(identity, F)
         size = (n + m) ** 2
-        augmented = torch.zeros(2 * size, 2 * size, dtype=self.A.dtype)
-        augmented[:size, :size], augmented[:size, size:] = K, torch.eye(size, dtype=self.A.dtype)
+        augmented = self.A.new_zeros(2 * size, 2 * size)
+        augmented[:size, :size], augmented[:size, size:] = K, torch.eye(size).to(F)
         exponential = torch.linalg.matrix_exp(T * augmented)
         y0 = torch.cat([x0, tau], -1)
         products = (y0[:, :, None] * y0[:, None, :]).flatten(1)
@@ -82,6 +82,7 @@ class LinearQuadratic:
             drive=integral[:, :n, n:].mT.flatten(1),
             gram=xx[:, basis.first, basis.second].repeat(1, m),
             cost=(self.Q * xx).sum((-2, -1)),
+            duration=x0.new_full(x0.shape[:1], T),
         )
 
 

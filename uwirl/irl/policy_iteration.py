@@ -1,15 +1,17 @@
-"""Policy iteration (42)-(49), and Algorithm 1's second loop: a generator of records that neither logs nor saves."""
+"""Policy iteration (42)-(49) with an explicit state: what was learned goes in, what is learned comes out."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Generic, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
-from uwirl.irl.networks import LinearActor, LinearCritic
-from uwirl.irl.solvers import Experience, Solver
+from uwirl.irl.solvers import Batch, Solver
+
+S = TypeVar("S")
 
 
 class InsufficientDataError(ValueError):
@@ -20,104 +22,142 @@ class InadmissiblePolicyError(ValueError):
     """The policy to start from does not bring the cost down."""
 
 
-@dataclass(frozen=True)
-class StoppingRule:
-    """When to stop.
-
-    Attributes:
-        tolerance: epsilon_3: stop once ||W^(s) - W^(s-1)|| / ||W^(s-1)|| of the actor stays below it for a stretch of
-            experience, over all of its updates.
-        max_seconds: T_max,2, in vehicle time, s.
-    """
-
-    tolerance: float
-    max_seconds: float
-
-
-@dataclass(frozen=True)
-class IterationRecord:
+class Iterate(NamedTuple):
     """One policy evaluation and improvement.
 
     Attributes:
         iteration: s, from 1.
-        seconds: vehicle time used so far, s.
-        critic: weights [L, n2].
-        actor: weights of the improved policy, [L, n3].
-        weight_change: relative change of the actor's weights, the largest over the learners.
-        converged: epsilon_3 holds.
-        rows: of experience so far, for each learner.
-        closes: whether it is the last of its stretch of experience; what follows is new experience, or the end.
+        critic: weights of the evaluated policy's critic, [L, n2] where that is linear.
+        actor: weights of the improved policy, [L, n3] where that is linear.
+        change: ||W^(s) - W^(s-1)|| / ||W^(s-1)|| of the actor's weights, the largest over the learners.
     """
 
     iteration: int
-    seconds: float
     critic: Tensor
     actor: Tensor
-    weight_change: float
-    converged: bool
+    change: float
+
+
+class LearnerState(NamedTuple, Generic[S]):
+    """All that L learners know; enough to go on bitwise.
+
+    Attributes:
+        solver: what the solver keeps of experience.
+        critic: newest weights, [L, n2] where the critic is linear.
+        actor: newest weights, [L, n3] where the actor is linear.
+        average_cost: newest g_bar, [L]; None where it is known to be zero, or before the first iteration.
+        rows: of experience so far, for each learner.
+        iteration: policy iterations so far.
+        settled: whether the actor's weights changed by less than the tolerance in every update of the newest stretch.
+        iterates: of the newest stretch; empty while there are fewer rows than unknowns.
+    """
+
+    solver: S
+    critic: Tensor
+    actor: Tensor
+    average_cost: Tensor | None
     rows: int
-    closes: bool
+    iteration: int
+    settled: bool
+    iterates: tuple[Iterate, ...]
 
 
-def policy_iteration(
-    experience: Iterable[Experience],
-    solver: Solver,
-    actor: LinearActor,
-    critic: LinearCritic,
-    updates: int,
-    stopping: StoppingRule,
-    seconds: float = 0.0,
-    after: IterationRecord | None = None,
-) -> Iterator[IterationRecord]:
-    """Learn from experience until the weights settle or the time is up.
+@dataclass(frozen=True)
+class PolicyIteration(Generic[S]):
+    """Policy evaluation and improvement, a few times for each stretch of experience.
 
-    The actor's weights are set in place, so experience flown lazily with that actor follows the newest policy.
-
-    Args:
-        experience: stretches of experience; with `after`, those that follow it.
-        solver: policy evaluation and improvement.
-        actor, critic: hold the weights.
+    Attributes:
+        solver: evaluates and improves.
+        unknowns: rows of experience that are needed before the first iteration.
         updates: policy iterations for each stretch.
-        stopping: when to stop.
-        seconds: vehicle time used before, s.
-        after: a record that closed its stretch, to continue from as if never interrupted: its weights are set here;
-            the solver must know what it knew then. Nothing follows a record that ended learning.
-
-    Yields:
-        One record an iteration.
+        tolerance: epsilon_3, below which a relative change of the actor's weights counts as none.
 
     Raises:
-        InsufficientDataError: the time was up, or experience ended, with fewer rows than unknowns.
+        ValueError: no updates.
     """
-    unknowns = actor.weight.shape[-1] + critic.weight.shape[-1]
-    iteration, rows = 0, 0
-    if after is not None:
-        iteration, rows, seconds = after.iteration, after.rows, after.seconds
-        actor.weight.copy_(after.actor)
-        critic.weight.copy_(after.critic)
-        if after.converged or seconds >= stopping.max_seconds:
+
+    solver: Solver[S]
+    unknowns: int
+    updates: int
+    tolerance: float
+
+    def __post_init__(self) -> None:
+        if self.updates < 1:
+            raise ValueError(f"a stretch of experience needs at least one update, got {self.updates}")
+
+    def init(self, actor: Tensor, critic: Tensor) -> LearnerState[S]:
+        """Before any experience.
+
+        Args:
+            actor: weights of the policy to start from, [L, ...].
+            critic: weights until the first iteration, [L, ...].
+
+        Raises:
+            ValueError: actor and critic of different numbers of learners.
+        """
+        if actor.shape[0] != critic.shape[0]:
+            raise ValueError(f"weights of {actor.shape[0]} actors and {critic.shape[0]} critics do not belong together")
+        # Copies, since whoever holds these weights may set them anew.
+        return LearnerState(self.solver.init(actor), critic.clone(), actor.clone(), None, 0, 0, False, ())
+
+    @torch.no_grad()
+    def update(self, state: LearnerState[S], batch: Batch) -> LearnerState[S]:
+        """Learn from a stretch of experience; `state` stays as it is.
+
+        Raises:
+            ValueError: a batch that nothing can be learned from, see `Batch.check`.
+        """
+        batch.check(state.actor.shape[0])
+        solver, rows = self.solver.add(state.solver, batch), state.rows + batch.rows
+        state = state._replace(solver=solver, rows=rows, settled=rows >= self.unknowns, iterates=())
+        for _ in range(self.updates if rows >= self.unknowns else 0):
+            state = self._iterate(state)
+        return state
+
+    def _iterate(self, state: LearnerState[S]) -> LearnerState[S]:
+        solution, solver = self.solver.solve(state.solver, state.actor)
+        change = _relative_change(solution.actor, state.actor)
+        # Copies in row order: how a product rounds depends on the layout, which a state that comes back from elsewhere
+        # has lost, and a view would keep all that was solved for in memory.
+        critic, actor = (
+            weights.clone(memory_format=torch.contiguous_format) for weights in (solution.critic, solution.actor)
+        )
+        iterate = Iterate(state.iteration + 1, critic, actor, change)
+        return state._replace(
+            solver=solver,
+            critic=critic,
+            actor=actor,
+            average_cost=None if solution.average_cost is None else solution.average_cost.clone(),
+            iteration=iterate.iteration,
+            settled=state.settled and change < self.tolerance,
+            iterates=(*state.iterates, iterate),
+        )
+
+
+def learn(learner: PolicyIteration[S], state: LearnerState[S], batches: Iterable[Batch]) -> Iterator[LearnerState[S]]:
+    """Learn from stretches of experience until the weights settle or experience ends.
+
+    Args:
+        learner: policy iteration.
+        state: what is known before.
+        batches: stretches of experience.
+
+    Yields:
+        The state after each stretch.
+
+    Raises:
+        InsufficientDataError: experience ended with fewer rows than unknowns.
+    """
+    for batch in batches:
+        state = learner.update(state, batch)
+        yield state
+        if state.settled:
             return
-    for stretch in experience:
-        solver.add(stretch)
-        seconds += stretch.seconds
-        rows += stretch.rows
-        settled = rows >= unknowns
-        for update in range(1, updates + 1 if rows >= unknowns else 1):
-            solution = solver.solve(actor.weight)
-            change = _relative_change(solution.actor, actor.weight)
-            actor.weight.copy_(solution.actor)
-            critic.weight.copy_(solution.critic)
-            settled = settled and change < stopping.tolerance
-            iteration += 1
-            closes = update == updates
-            weights = critic.weight.clone(), actor.weight.clone()
-            yield IterationRecord(iteration, seconds, *weights, change, settled and closes, rows, closes)
-        if settled or seconds >= stopping.max_seconds:
-            break
-    if not iteration:
-        raise InsufficientDataError(f"{rows} rows of experience for {unknowns} unknown weights: fly longer")
+    if state.rows < learner.unknowns:
+        raise InsufficientDataError(f"{state.rows} rows of experience for {learner.unknowns} unknown weights")
 
 
 def _relative_change(new: Tensor, old: Tensor) -> float:
+    new, old = new.flatten(1), old.flatten(1)
     norm = torch.linalg.vector_norm
     return float((norm(new - old, dim=-1) / norm(old, dim=-1).clamp_min(1e-12)).max())

@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 
-class RecursiveLeastSquares(nn.Module):
+class RlsState(NamedTuple):
+    """What the rows so far have taught.
+
+    Attributes:
+        weight: W, [L, n].
+        P: [L, n, n].
+    """
+
+    weight: Tensor
+    P: Tensor
+
+
+@dataclass(frozen=True)
+class RecursiveLeastSquares:
     """theta' W = y, one row at a time.
 
         gain = P theta / (kappa + theta' P theta)
@@ -17,49 +33,54 @@ class RecursiveLeastSquares(nn.Module):
     As printed, (31) and (49) lack 1/kappa. kappa is then no forgetting factor: W is exactly the ridge solution with
     penalty kappa / p0, whatever the order of the rows.
 
-    Args:
+    Attributes:
         unknowns: n.
         learners: L, independent problems.
         kappa: > 0; with form="exponential" at most 1.
         p0: P starts as p0 I.
         form: "paper" or "exponential".
+        dtype, device: of the state.
+
+    Raises:
+        ValueError: any other form or kappa.
     """
 
-    def __init__(
-        self,
-        unknowns: int,
-        learners: int = 1,
-        kappa: float = 1.0,
-        p0: float = 1e4,
-        form: str = "exponential",
-        dtype: torch.dtype = torch.float64,
-    ):
-        super().__init__()
-        if form not in ("paper", "exponential"):
-            raise ValueError(f"form must be 'paper' or 'exponential', got {form!r}")
-        if not 0.0 < kappa or (form == "exponential" and kappa > 1.0):
-            raise ValueError(f"kappa must be positive, and at most 1 as a forgetting factor, got {kappa}")
-        self.kappa = kappa
-        self.form = form
-        self.weight: Tensor
-        self.P: Tensor
-        self.register_buffer("weight", torch.zeros(learners, unknowns, dtype=dtype))
-        self.register_buffer("P", (p0 * torch.eye(unknowns, dtype=dtype)).repeat(learners, 1, 1))
+    unknowns: int
+    learners: int = 1
+    kappa: float = 1.0
+    p0: float = 1e4
+    form: str = "exponential"
+    dtype: torch.dtype = torch.float64
+    device: torch.device | str = "cpu"
 
-    def update(self, theta: Tensor, y: Tensor) -> Tensor:
+    def __post_init__(self) -> None:
+        if self.form not in ("paper", "exponential"):
+            raise ValueError(f"form must be 'paper' or 'exponential', got {self.form!r}")
+        if not 0.0 < self.kappa or (self.form == "exponential" and self.kappa > 1.0):
+            raise ValueError(f"kappa must be positive, and at most 1 as a forgetting factor, got {self.kappa}")
+
+    def init(self) -> RlsState:
+        """W = 0 and P = p0 I."""
+        weight = torch.zeros(self.learners, self.unknowns, dtype=self.dtype, device=self.device)
+        P = (self.p0 * torch.eye(self.unknowns, dtype=self.dtype, device=self.device)).repeat(self.learners, 1, 1)
+        return RlsState(weight, P)
+
+    def update(self, state: RlsState, theta: Tensor, y: Tensor) -> RlsState:
         """Take in one row for each learner.
 
         Args:
+            state: before it.
             theta: [L, n].
             y: [L].
 
         Returns:
-            The weights, [L, n].
+            The state after it.
         """
-        Ptheta = (self.P @ theta[..., None])[..., 0]
+        Ptheta = (state.P @ theta[..., None])[..., 0]
         gain = Ptheta / (self.kappa + (theta * Ptheta).sum(-1, keepdim=True))
-        error = y - (theta * self.weight).sum(-1)
-        self.weight = self.weight + gain * error[..., None]
-        P = self.P - gain[..., :, None] * Ptheta[..., None, :]
-        self.P = P / self.kappa if self.form == "exponential" else P
-        return self.weight
+        error = y - (theta * state.weight).sum(-1)
+        P = state.P - gain[..., :, None] * Ptheta[..., None, :]
+        return RlsState(
+            state.weight + gain * error[..., None],
+            P / self.kappa if self.form == "exponential" else P,
+        )

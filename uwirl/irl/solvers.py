@@ -1,43 +1,75 @@
-"""How Bellman rows become new weights: one exact recursive solver, and those it is compared with."""
+"""How Bellman rows become new weights: what a solver is, an exact recursive one, and batch least squares."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, TypeVar
 
 import torch
 from torch import Tensor
 
 from uwirl.irl.bellman import BellmanOperator, Segment
 from uwirl.irl.least_squares import NormalEquations, Regularisation
-from uwirl.irl.rls import RecursiveLeastSquares
+
+S = TypeVar("S")
+T = TypeVar("T")
+# A segment's tensors as a plain tuple, as a file takes it.
+Parts = tuple[Tensor, ...]
 
 
-class Experience(NamedTuple):
-    """What one stretch of flight teaches L learners.
+class Batch(NamedTuple):
+    """What one stretch of experience teaches L learners: groups of windows that count apart.
 
     Attributes:
-        flown: windows as they were flown, [S, L].
-        relabelled: the same motion seen from other frames, [S', L], or None.
-        relabelled_weight: weight of everything relabelled so far against everything flown.
-        seconds: vehicle time of this stretch, s.
+        groups: windows [S_k, L] of each group; None where a group has none in this stretch.
+        weights: of everything in group k so far, against that of group 0, so that weights[0] is 1.
     """
 
-    flown: Segment
-    relabelled: Segment | None
-    relabelled_weight: float
-    seconds: float
+    groups: tuple[Segment | None, ...]
+    weights: tuple[float, ...] = (1.0,)
 
     @property
     def rows(self) -> int:
         """Windows in it for each learner."""
-        return self.flown.cost.shape[0] + (0 if self.relabelled is None else self.relabelled.cost.shape[0])
+        return sum(windows(segment) for segment in self.groups)
+
+    def check(self, learners: int) -> None:
+        """Refuse what nothing can be learned from.
+
+        Args:
+            learners: L.
+
+        Raises:
+            ValueError: no windows, not one weight for each group, weights that do not begin with 1 or are negative or
+                not finite, windows of another number of learners, or entries that are not finite.
+        """
+        if not self.rows:
+            raise ValueError("a batch without windows teaches nothing")
+        if len(self.weights) != len(self.groups):
+            raise ValueError(f"{len(self.groups)} groups of windows need as many weights, got {len(self.weights)}")
+        if self.weights[0] != 1.0 or not all(0.0 <= weight < float("inf") for weight in self.weights):
+            raise ValueError(f"weights of groups are finite, not negative and begin with 1, got {self.weights}")
+        for k, segment in enumerate(self.groups):
+            for name, part in () if segment is None else segment._asdict().items():
+                if part.shape[:2] != (windows(segment), learners):
+                    expected = f"[{windows(segment)}, {learners}, ...]"
+                    raise ValueError(f"{name} of group {k} must be {expected}, got {list(part.shape)}")
+                if not bool(part.isfinite().all()):
+                    raise ValueError(f"{name} of group {k} holds entries that are not finite")
 
 
 class Solution(NamedTuple):
-    """Weights of critic [L, n2] and improved actor [L, n3]."""
+    """An evaluated policy, improved.
+
+    Attributes:
+        critic: weights of its critic, [L, n2] where that is linear.
+        actor: weights of the improved policy, [L, n3] where that is linear.
+        average_cost: its g_bar, [L]; None where that is known to be zero.
+    """
 
     critic: Tensor
     actor: Tensor
+    average_cost: Tensor | None = None
 
 
 class Bounds(NamedTuple):
@@ -47,49 +79,66 @@ class Bounds(NamedTuple):
     upper: Tensor
 
 
-class Solver(Protocol):
-    """Turns experience and the present policy into the next one."""
+class Solver(Protocol[S]):
+    """Turns experience and the present policy into the next one.
 
-    def add(self, experience: Experience) -> None:
+    Its state S is a NamedTuple of tensors, numbers and plain tuples of them, so that it can be saved, moved and gone on
+    from. What is in a state is never changed: every method gives a new one.
+    """
+
+    def init(self, weights: Tensor) -> S:
+        """What it knows before any experience; `weights` [L, ...] are those of the policy to start from."""
+        ...
+
+    def add(self, state: S, batch: Batch) -> S:
         """Take in a stretch of experience."""
         ...
 
-    def solve(self, weights: Tensor) -> Solution:
-        """Evaluate the policy [L, n3] and improve it."""
-        ...
-
-    def state_dict(self) -> dict[str, Any]:
-        """All that was learned so far, as tensors, numbers and lists; later experience does not change it."""
-        ...
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from there, bitwise."""
+    def solve(self, state: S, weights: Tensor) -> tuple[Solution, S]:
+        """Evaluate the policy of weights [L, ...] and improve it."""
         ...
 
 
+@dataclass(frozen=True)
 class LeastSquaresPolicyEvaluation:
     """Penalties and bounds, which the recursive and the batch solver share."""
 
-    def __init__(self, operator: BellmanOperator, regularisation: Regularisation, bounds: Bounds | None):
-        self.operator = operator
-        self.regularisation = regularisation
-        self.bounds = bounds
+    operator: BellmanOperator
+    regularisation: Regularisation
+    bounds: Bounds | None = None
 
     def penalty(self, weights: Tensor) -> tuple[Tensor, Tensor]:
         """Penalty [n] and its centre [L, n] at a policy [L, n3]."""
-        n2, n3 = self.operator.n2, self.operator.n3
-        penalty = weights.new_full((n2 + n3,), self.regularisation.ridge)
-        penalty[n2:] += self.regularisation.prior
-        return penalty, torch.cat([weights.new_zeros(*weights.shape[:-1], n2), weights], -1)
+        n2, n3, n = self.operator.n2, self.operator.n3, self.operator.unknowns
+        penalty = weights.new_full((n,), self.regularisation.ridge)
+        penalty[n2 : n2 + n3] += self.regularisation.prior
+        centre = weights.new_zeros(*weights.shape[:-1], n)
+        centre[..., n2 : n2 + n3] = weights
+        return penalty, centre
 
     def finish(self, equations: NormalEquations) -> Solution:
         """Solve, within the bounds where there are any."""
         if self.bounds is None:
-            x = equations.solve()
-        else:
-            free = self.bounds.lower.new_full((self.operator.n2,), torch.inf)
-            x = equations.solve(torch.cat([-free, self.bounds.lower]), torch.cat([free, self.bounds.upper]))
-        return Solution(x[..., : self.operator.n2], x[..., self.operator.n2 :])
+            return Solution(*self.operator.split(equations.solve()))
+        actor = slice(self.operator.n2, self.operator.n2 + self.operator.n3)
+        lower = self.bounds.lower.new_full((self.operator.unknowns,), -torch.inf)
+        upper = -lower
+        lower[actor], upper[actor] = self.bounds
+        return Solution(*self.operator.split(equations.solve(lower, upper)))
+
+
+class ZState(NamedTuple):
+    """All experience in constant memory; each field has one entry a group, and is empty before the first batch.
+
+    Attributes:
+        Z: sum of z z', [L, nz, nz]; None before the group's first window.
+        rows: windows in that sum.
+        weights: of the groups.
+    """
+
+    Z: tuple[Tensor | None, ...] = ()
+    rows: tuple[int, ...] = ()
+    weights: tuple[float, ...] = ()
 
 
 class ZRecursiveLeastSquares(LeastSquaresPolicyEvaluation):
@@ -99,79 +148,72 @@ class ZRecursiveLeastSquares(LeastSquaresPolicyEvaluation):
     squares on rebuilt rows.
     """
 
-    _STATE = ("Z_flown", "Z_relabelled", "n_flown", "n_relabelled", "relabelled_weight")
+    def init(self, weights: Tensor) -> ZState:
+        return ZState()
 
-    def __init__(self, operator: BellmanOperator, regularisation: Regularisation, bounds: Bounds | None = None):
-        super().__init__(operator, regularisation, bounds)
-        self.Z_flown: Tensor | None = None
-        self.Z_relabelled: Tensor | None = None
-        self.n_flown = self.n_relabelled = 0
-        self.relabelled_weight = 0.0
+    def add(self, state: ZState, batch: Batch) -> ZState:
+        Z, rows = _known(state.Z, None, batch), _known(state.rows, 0, batch)
+        return ZState(
+            tuple(self._accumulate(*pair) for pair in zip(Z, batch.groups, strict=True)),
+            tuple(n + windows(segment) for n, segment in zip(rows, batch.groups, strict=True)),
+            batch.weights,
+        )
 
-    def state_dict(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self._STATE}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        for name in self._STATE:
-            setattr(self, name, state[name])
-
-    def add(self, experience: Experience) -> None:
-        self.Z_flown = self._accumulate(self.Z_flown, experience.flown)
-        self.n_flown += experience.flown.cost.shape[0]
-        self.relabelled_weight = experience.relabelled_weight
-        if experience.relabelled is not None:
-            self.Z_relabelled = self._accumulate(self.Z_relabelled, experience.relabelled)
-            self.n_relabelled += experience.relabelled.cost.shape[0]
-
-    @staticmethod
-    def _accumulate(Z: Tensor | None, segment: Segment) -> Tensor:
-        z = segment.z.movedim(0, -2)
+    def _accumulate(self, Z: Tensor | None, segment: Segment | None) -> Tensor | None:
+        if segment is None:
+            return Z
+        z = self.operator.z(segment).movedim(0, -2)
         products = z.mT @ z
         return products if Z is None else Z + products
 
-    def solve(self, weights: Tensor) -> Solution:
-        if self.Z_flown is None:
+    def solve(self, state: ZState, weights: Tensor) -> tuple[Solution, ZState]:
+        groups = [
+            (weight * Z, weight * n)
+            for Z, n, weight in zip(state.Z, state.rows, state.weights, strict=True)
+            if Z is not None and weight > 0.0
+        ]
+        if not groups:
             raise ValueError("no experience to learn from")
-        Z, n = self.Z_flown, float(self.n_flown)
-        if self.Z_relabelled is not None:
-            Z, n = Z + self.relabelled_weight * self.Z_relabelled, n + self.relabelled_weight * self.n_relabelled
+        # One after the other from the first, since the order of a sum decides its rounding.
+        Z, n = groups[0]
+        for more, rows in groups[1:]:
+            Z, n = Z + more, n + rows
         L, target = self.operator.lift(weights)
         LZ = L @ Z / n
         equations = NormalEquations.scaled(LZ @ L.mT, (LZ @ target[..., None])[..., 0])
-        return self.finish(equations.regularised(*self.penalty(weights)))
+        return self.finish(equations.regularised(*self.penalty(weights))), state
+
+
+class SegmentsState(NamedTuple):
+    """All experience as it came; each field has one entry a group, and is empty before the first batch.
+
+    Attributes:
+        stretches: the segments of each stretch, as plain tuples of their tensors.
+        weights: of the groups.
+    """
+
+    stretches: tuple[tuple[Parts, ...], ...] = ()
+    weights: tuple[float, ...] = ()
 
 
 class BatchLeastSquares(LeastSquaresPolicyEvaluation):
     """Keeps every segment, rebuilds all rows for each policy and factors them by QR (which also serves float32)."""
 
-    def __init__(self, operator: BellmanOperator, regularisation: Regularisation, bounds: Bounds | None = None):
-        super().__init__(operator, regularisation, bounds)
-        self.flown: list[Segment] = []
-        self.relabelled: list[Segment] = []
-        self.relabelled_weight = 0.0
+    def init(self, weights: Tensor) -> SegmentsState:
+        return SegmentsState()
 
-    def state_dict(self) -> dict[str, Any]:
-        return {
-            "flown": [list(segment) for segment in self.flown],
-            "relabelled": [list(segment) for segment in self.relabelled],
-            "relabelled_weight": self.relabelled_weight,
-        }
+    def add(self, state: SegmentsState, batch: Batch) -> SegmentsState:
+        stretches = _known(state.stretches, (), batch)
+        return SegmentsState(
+            tuple(
+                before if segment is None else (*before, tuple(segment))
+                for before, segment in zip(stretches, batch.groups, strict=True)
+            ),
+            batch.weights,
+        )
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.flown = [Segment(*parts) for parts in state["flown"]]
-        self.relabelled = [Segment(*parts) for parts in state["relabelled"]]
-        self.relabelled_weight = state["relabelled_weight"]
-
-    def add(self, experience: Experience) -> None:
-        self.flown.append(experience.flown)
-        self.relabelled_weight = experience.relabelled_weight
-        if experience.relabelled is not None:
-            self.relabelled.append(experience.relabelled)
-
-    def solve(self, weights: Tensor) -> Solution:
-        if not self.flown:
-            raise ValueError("no experience to learn from")
-        theta, y, total = self._weighted_rows(weights)
+    def solve(self, state: SegmentsState, weights: Tensor) -> tuple[Solution, SegmentsState]:
+        theta, y, total = self._weighted_rows(state, weights)
         rms = torch.sqrt((theta**2).sum(-2) / total) + 1e-12
         penalty, centre = self.penalty(weights)
         # Penalties become rows, so that the normal equations are never formed.
@@ -183,50 +225,31 @@ class BatchLeastSquares(LeastSquaresPolicyEvaluation):
         projected = Q.mT @ rhs[..., None]
         if self.bounds is None:
             x = torch.linalg.solve_triangular(R, projected, upper=True)[..., 0] / rms
-            return Solution(x[..., : self.operator.n2], x[..., self.operator.n2 :])
-        return self.finish(NormalEquations(R.mT @ R, (R.mT @ projected)[..., 0], rms))
+            return Solution(*self.operator.split(x)), state
+        return self.finish(NormalEquations(R.mT @ R, (R.mT @ projected)[..., 0], rms)), state
 
-    def _weighted_rows(self, weights: Tensor) -> tuple[Tensor, Tensor, float]:
+    def _weighted_rows(self, state: SegmentsState, weights: Tensor) -> tuple[Tensor, Tensor, float]:
         """Rows [L, S, n] and targets [L, S], each times the root of its weight, and the sum of the weights."""
-        parts = [(segment, 1.0) for segment in self.flown]
-        if self.relabelled_weight > 0.0:
-            parts += [(segment, self.relabelled_weight) for segment in self.relabelled]
         blocks, targets, total = [], [], 0.0
-        for segment, weight in parts:
-            theta, y = self.operator.rows(segment, weights)
-            blocks.append(theta.movedim(0, -2) * weight**0.5)
-            targets.append(y.movedim(0, -1) * weight**0.5)
-            total += weight * y.shape[0]
+        for stretches, weight in zip(state.stretches, state.weights, strict=True):
+            for parts in stretches if weight > 0.0 else ():
+                theta, y = self.operator.rows(Segment(*parts), weights)
+                blocks.append(theta.movedim(0, -2) * weight**0.5)
+                targets.append(y.movedim(0, -1) * weight**0.5)
+                total += weight * y.shape[0]
+        if not blocks:
+            raise ValueError("no experience to learn from")
         return torch.cat(blocks, -2), torch.cat(targets, -1), total
 
 
-class ClassicalRls:
-    """RLS as printed, or with exponential forgetting: a row is built once, for the policy of its day.
+def windows(segment: Segment | None) -> int:
+    """S of a segment [S, ...]; none of a group that has none."""
+    return 0 if segment is None else segment.cost.shape[0]
 
-    Neither form revises the rows of old policies, so both learn worse than the exact solver; here for comparison.
-    """
 
-    def __init__(self, operator: BellmanOperator, weights: Tensor, kappa: float, p0: float, form: str):
-        self.operator = operator
-        self.rls = RecursiveLeastSquares(operator.unknowns, weights.shape[0], kappa, p0, form, weights.dtype)
-        self.rls.weight[:, operator.n2 :] = weights
-        self.pending: list[Segment] = []
-
-    def state_dict(self) -> dict[str, Any]:
-        pending = [list(segment) for segment in self.pending]
-        return {"weight": self.rls.weight, "P": self.rls.P, "pending": pending}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.rls.weight, self.rls.P = state["weight"], state["P"]
-        self.pending = [Segment(*parts) for parts in state["pending"]]
-
-    def add(self, experience: Experience) -> None:
-        self.pending.append(experience.flown)
-
-    def solve(self, weights: Tensor) -> Solution:
-        for segment in self.pending:
-            for theta, y in zip(*self.operator.rows(segment, weights), strict=True):
-                self.rls.update(theta, y)
-        self.pending.clear()
-        n2 = self.operator.n2
-        return Solution(self.rls.weight[:, :n2], self.rls.weight[:, n2:])
+def _known(before: tuple[T, ...], nothing: T, batch: Batch) -> tuple[T, ...]:
+    """One entry for each of the batch's groups: those before it, or `nothing` if it is the first."""
+    known = before or (nothing,) * len(batch.groups)
+    if len(known) != len(batch.groups):
+        raise ValueError(f"a batch of {len(batch.groups)} groups follows batches of {len(known)}")
+    return known
