@@ -82,8 +82,8 @@ def run_job(composed: DictConfig) -> dict[str, Any]:
 
 
 def _run(composed: DictConfig, folder: Path, sweep: bool) -> dict[str, Any]:
-    from uwirl.runs.algorithm import run
     from uwirl.runs.refusal import write_refusal
+    from uwirl.runs.run import run
     from uwirl.runs.saving import Origin, unfinished
     from uwirl.study import run_folder
     from uwirl.study.checkpoint import CheckpointError

@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from uwirl.motion.avoidance import Avoidance, Printed, smooth
 from uwirl.baselines.guesses import Guess, of_world
+from uwirl.motion.avoidance import Avoidance, Printed, smooth
 from uwirl.motion.mission import Mission
 from uwirl.world.geometry import rotation_matrix
 from uwirl.world.vehicle import Vehicle
@@ -27,9 +27,7 @@ class Collocation:
     [4 M, N + 1] and [M, N + 1]: a column for each node, in it the components, each for all vehicles.
     """
 
-    def __init__(
-        self, ca: Any, mission: Mission, N: int, world: int, separation_m: float
-    ):
+    def __init__(self, ca: Any, mission: Mission, N: int, world: int, separation_m: float):
         env, cost, targets = mission.env, mission.cost, mission.targets
         assert isinstance(env.vehicle, Vehicle), "who plans with the model needs one"
         self.ca, self.scenario, self.vehicle, self.cost, self.world = ca, env.scenario, env.vehicle, cost, world

@@ -155,9 +155,7 @@ class PlanAgent:
         error = observation.eta - self.eta[step]
         error[..., 3] = wrapped(error[..., 3])
         body = (rotation_matrix(observation.eta[..., 3]).mT @ error[..., None])[..., 0]
-        return self.tau[step] - self.position_gain * body - self.velocity_gain * (
-            observation.nu - self.nu[step]
-        ), carry
+        return self.tau[step] - self.position_gain * body - self.velocity_gain * (observation.nu - self.nu[step]), carry
 
 
 @dataclass(frozen=True)

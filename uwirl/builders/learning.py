@@ -16,8 +16,9 @@ from uwirl.config.schema import (
     RlsSolverConfig,
 )
 from uwirl.irl.bellman import BellmanOperator
+from uwirl.irl.classical_rls import ClassicalRls
 from uwirl.irl.least_squares import Regularisation
-from uwirl.irl.solvers import BatchLeastSquares, Bounds, ClassicalRls, Solver, ZRecursiveLeastSquares
+from uwirl.irl.solvers import BatchLeastSquares, Bounds, Solver, ZRecursiveLeastSquares
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.experience import ExperienceSource, Parallel, VirtualLinks
 from uwirl.motion.features import ErrorBasis, LinkFrameBasis, MotionBasis

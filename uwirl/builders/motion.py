@@ -17,6 +17,7 @@ from uwirl.motion.cost import CostWeights
 from uwirl.motion.guidance import Geodesic, Guidance, straight
 from uwirl.motion.route import MapSettings
 from uwirl.motion.safety import EnergyGuard, unguarded
+from uwirl.study.evaluation import Evaluator
 from uwirl.world.agent import Guard
 from uwirl.world.relay import Relay
 
@@ -34,7 +35,15 @@ def make_guard(config: Config, env: Relay) -> Guard:
     safety, scenario = config.safety, env.scenario
     if isinstance(safety, BarrierGuardConfig):
         u, v, w = safety.inertia_kg
-        return BarrierGuard(safety.margin_m, safety.separation_m, safety.k_1, safety.k_0, (u, v, w), env.vehicle.tau_max, scenario.vehicle_radius)
+        return BarrierGuard(
+            safety.margin_m,
+            safety.separation_m,
+            safety.k_1,
+            safety.k_0,
+            (u, v, w),
+            env.vehicle.tau_max,
+            scenario.vehicle_radius,
+        )
     if not isinstance(safety, EnergyGuardConfig):
         return unguarded
     return EnergyGuard(
@@ -63,3 +72,8 @@ def make_guidance(config: Config) -> Guidance:
         config.safety.margin_m if isinstance(config.safety, GuardConfig) else 0.0,
         MapSettings(guidance.spacing_m, guidance.exponent, guidance.hard_clearance_m),
     )
+
+
+def make_evaluator(config: Config, env: Relay) -> Evaluator:
+    """Of missions in these worlds."""
+    return Evaluator(env, make_cost(config.cost), make_guard(config, env))

@@ -7,8 +7,8 @@ from torch import Tensor
 from uwirl.irl.networks import LinearActor
 from uwirl.irl.policy_iteration import InadmissiblePolicyError
 from uwirl.motion.cost import RelayCost
-from uwirl.motion.link_frame import LinkFrame
 from uwirl.motion.linear_agent import LinkController
+from uwirl.motion.link_frame import LinkFrame
 from uwirl.world.agent import Guard, Guarded
 from uwirl.world.relay import Relay, Trajectory
 

@@ -1,4 +1,4 @@
-"""A mission's second stage as it is learned: the problem, fixed by the estimate, and a state that goes from leg to leg."""
+"""A mission's second stage as it is learned: the problem, fixed by the estimate, and a state, leg after leg."""
 
 from __future__ import annotations
 
@@ -89,9 +89,7 @@ class Learning:
         self.cost = self.mission.cost.of(torch.arange(self.learners, device=device))
         self.basis: MotionBasis = planner.basis(self.cost)
         sizes = [len(names) for names in self.basis.actor_names]
-        self.operator = BellmanOperator(
-            len(self.basis.critic_names), sizes, self.cost.R, actor_sign=planner.sign
-        )
+        self.operator = BellmanOperator(len(self.basis.critic_names), sizes, self.cost.R, actor_sign=planner.sign)
         bounds = self.basis.bounds(planner.inertia_lower, env.scenario.dt)
         solver = planner.solver(self.operator, Bounds(bounds.lower.to(device), bounds.upper.to(device)))
         self.iteration = PolicyIteration(solver, self.operator.unknowns, planner.updates, planner.tolerance_weights)

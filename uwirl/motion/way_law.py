@@ -84,7 +84,7 @@ class WayLaw:
         return torch.sqrt(q / effort)
 
     def slowed(self, drive: Tensor, u: Tensor) -> Tensor:
-        """Drive [...] along ways u_b [..., 2], less where askew at an angle a: the Munk moment grows with V^2 sin 2a."""
+        """Drive [...] along ways u_b [..., 2], less where askew at an angle a: the Munk moment grows with sin 2a."""
         return drive / (1.0 + (2.0 * u[..., 0] * u[..., 1]).square())
 
     def keep_right(self, way: Tensor, position: Tensor, others: Tensor) -> Tensor:
@@ -130,9 +130,7 @@ class WayLaw:
         """Heave beyond trim, [B, M], N, on the glide path to goals [B, M, 3]: hurrying down gains nothing."""
         error = state.position[..., 2] - goal[..., 2]
         speed = torch.linalg.vector_norm(state.nu[..., :2], dim=-1)
-        return -self.glide_damping * (
-            state.nu[..., 2] + self.glide * error * speed / distance.clamp_min(self.near_m)
-        )
+        return -self.glide_damping * (state.nu[..., 2] + self.glide * error * speed / distance.clamp_min(self.near_m))
 
     def pushed(
         self, push: Tensor, state: Moving, goal: Tensor, way: Tensor, distance: Tensor, dt: float

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import logging
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from uwirl import build
+from uwirl.algorithm import Estimated
 from uwirl.config.schema import Config
-from uwirl.motion.planner import IrlPlanner
-from uwirl.runs import pictures
+from uwirl.motion.irl_planner import IrlPlanner
+from uwirl.motion.learning import Learning
 from uwirl.runs.interruption import Interruption
-from uwirl.runs.judge import Judge
-from uwirl.runs.layouts import campaign
+from uwirl.runs.missions import MissionFlight, campaign
 from uwirl.runs.recorded import recorded
-from uwirl.runs.summary import table
-from uwirl.world.messages import readings_of_each_vehicle
-from uwirl.study import checkpoint, run_folder, shadowing
+from uwirl.study import checkpoint, run_folder
 from uwirl.study.learning_file import load, take_estimate, take_trim, take_weights
-
-log = logging.getLogger("uwirl")
+from uwirl.world.messages import readings_of_each_vehicle
 
 
 def run(config: Config, experiment: str, folder: Path, path: Path) -> dict[str, Any]:
@@ -51,25 +48,15 @@ def run(config: Config, experiment: str, folder: Path, path: Path) -> dict[str, 
 @torch.no_grad()
 def _evaluate(config: Config, folder: Path, path: Path, content: dict[str, Any]) -> dict[str, Any]:
     env = build.make_relay(config)
-    estimate = take_estimate(path, content, env.channel, env.scenario.vehicles)
+    estimate = take_estimate(path, content, env.budget, env.scenario.vehicles)
     planner = build.make_planner(config, config.planner, env)
     assert isinstance(planner, IrlPlanner)
-    policy = planner.adopt(
-        env,
-        estimate,
-        lambda basis, learners: take_weights(path, content, basis, learners),
-        take_trim(path, content, planner.learners),
-    )
+    learning = Learning(planner, env, estimate)
+    weights = take_weights(path, content, learning.basis, learning.learners)
+    agent_in = partial(learning.agent, weights, take_trim(path, content, learning.learners))
     metrics = run_folder.estimate_metrics(estimate)
     if config.scenario.layouts is not None:
-        return metrics | campaign(config, lambda worlds: build.policy_in(worlds, config, planner, estimate), folder)
-    judge = Judge(config, env)
-    evaluation = judge.fly(policy)
-    readings = readings_of_each_vehicle(env)
-    metrics |= evaluation.metrics() | shadowing.summary(env, evaluation.trajectory, judge.targets, readings, estimate)
-    messages = shadowing.messages(env, evaluation.trajectory)
-    run_folder.write_trajectory(folder, evaluation, messages)
-    pictures.mission(config.logging, folder, env, evaluation, messages, [], planner)
-    for line in table({**judge.baseline(estimate), config.planner.name: evaluation}):
-        log.info("%s", line)
-    return metrics
+        return metrics | campaign(config, agent_in, folder)
+    flight = MissionFlight(config, env, folder)
+    flown = {**flight.baseline(estimate), config.planner.name: flight.fly(agent_in(env))}
+    return metrics | flight.report(flown, Estimated(readings_of_each_vehicle(env), estimate))

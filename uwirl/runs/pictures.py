@@ -10,14 +10,14 @@ from pathlib import Path
 from torch import Tensor
 
 from uwirl.config.schema import LoggingConfig
-from uwirl.irl.policy_iteration import IterationRecord
-from uwirl.motion.planner import IrlPlanner, Planner
+from uwirl.motion.features import MotionBasis
+from uwirl.motion.learning import IterationRecord
 from uwirl.snr.diagnostics import Diagnostics
 from uwirl.snr.estimate import ChannelEstimate
-from uwirl.world.messages import Readings
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import LinksAtMessages
 from uwirl.study.snr_map import SnrMap
+from uwirl.world.messages import Readings
 from uwirl.world.relay import Relay
 
 log = logging.getLogger("uwirl")
@@ -29,15 +29,14 @@ def mission(
     env: Relay,
     evaluation: Evaluation,
     messages: LinksAtMessages,
-    records: Sequence[IterationRecord],
-    planner: Planner,
+    records: Sequence[IterationRecord] = (),
+    basis: MotionBasis | None = None,
 ) -> Path | None:
     """figures/mission.png, whose path is returned, and, with logging.animation, mission.gif."""
     if not _possible(logging_config):
         return None
     from uwirl.study import animation, figures
 
-    basis = planner.basis if isinstance(planner, IrlPlanner) else None
     path = folder / "figures" / "mission.png"
     figures.save(figures.mission_figure(env.scenario, evaluation, messages, records, basis), path)
     log.info("figure: %s", path)

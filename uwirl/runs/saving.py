@@ -4,19 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
 import uwirl
+from uwirl.algorithm import Start
 from uwirl.config.schema import Config
-from uwirl.irl.policy_iteration import IterationRecord
-from uwirl.motion.planner import IrlPlanner, LearnerState, LearningPlanner, Planner
+from uwirl.motion.learning import IterationRecord, Learning, LearningState
 from uwirl.runs.interruption import INTERRUPTED
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study import checkpoint, run_folder
 from uwirl.study.checkpoint import CheckpointError
-from uwirl.study.learning_file import features_of, history_of, learner_of, load, restore, take_estimate, take_weights
-from uwirl.world.acoustics import Channel
+from uwirl.study.learning_file import (
+    features_of,
+    history_of,
+    learner_of,
+    load,
+    records_so_far,
+    restore,
+    take_estimate,
+    take_weights,
+)
+from uwirl.world.relay import Relay
 
 
 @dataclass(frozen=True)
@@ -50,23 +62,29 @@ class Origin:
             return self.content["config_hash"]
         return run_folder.config_hash(config, checkpoint.digest(self.path))
 
-    def estimate(self, known: Channel, vehicles: int) -> ChannelEstimate | None:
-        """The channel estimate to take over, if there is one."""
-        if self.content is None or "estimate" not in self.parts:
-            return None
-        return take_estimate(self.path, self.content, known, vehicles)
+    def start(self, env: Relay) -> Start:
+        """What Algorithm 1 takes over."""
+        content, path = self.content, self.path
+        if content is None:
+            return Start()
+        estimate = weights = state = None
+        if "estimate" in self.parts:
+            estimate = take_estimate(path, content, env.budget, env.scenario.vehicles)
+        if "weights" in self.parts:
+            weights = partial(_weights, path, content)
+        if "everything" in self.parts:
+            state = partial(restore, content=content)
+        return Start(estimate, weights, state)
 
-    def give_weights(self, planner: Planner) -> None:
-        """Let a planner start from the weights to take over, if there are some."""
-        content = self.content
-        if content is not None and "weights" in self.parts and isinstance(planner, IrlPlanner):
-            planner.given = lambda basis, learners: take_weights(self.path, content, basis, learners)
-
-    def learner(self) -> tuple[LearnerState | None, list[IterationRecord]]:
-        """The learner to continue, if there is one, and its records so far."""
+    def records(self) -> list[IterationRecord]:
+        """Of the learning that is continued, if any is."""
         if self.content is None or "everything" not in self.parts:
-            return None, []
-        return restore(self.path, self.content)
+            return []
+        return records_so_far(self.path, self.content)
+
+
+def _weights(path: Path, content: dict[str, Any], learning: Learning) -> Tensor:
+    return take_weights(path, content, learning.basis, learning.learners)
 
 
 def unfinished(folder: Path, config_hash: str) -> Path | None:
@@ -104,35 +122,39 @@ class Checkpoints:
 
     def last(
         self,
-        planner: LearningPlanner,
+        learning: Learning,
+        state: LearningState,
         estimate: ChannelEstimate,
         records: Sequence[IterationRecord],
         metrics: dict[str, Any] | None = None,
     ) -> None:
         """The newest policy, and all that is needed to go on learning."""
-        learner = {"learner": learner_of(planner.state), "history": history_of(records)}
-        content = self._policy(planner, estimate, records[-1]) | learner | {"metrics": metrics or {}}
+        learner = {"learner": learner_of(state), "history": history_of(records)}
+        content = self._policy(learning, state, estimate, records[-1]) | learner | {"metrics": metrics or {}}
         checkpoint.save(self.folder / "last.pt", content)
 
     def best(
         self,
-        planner: LearningPlanner,
+        learning: Learning,
+        state: LearningState,
         estimate: ChannelEstimate,
         records: Sequence[IterationRecord],
         costs: Sequence[float],
     ) -> None:
         """The policy of the lowest of its missions' costs J, which learning need not end with."""
         k = min(range(len(costs)), key=costs.__getitem__)
-        content = self._policy(planner, estimate, records[k]) | {"cost_total": costs[k]}
+        content = self._policy(learning, state, estimate, records[k]) | {"cost_total": costs[k]}
         checkpoint.save(self.folder / "best.pt", content)
 
-    def _policy(self, planner: LearningPlanner, estimate: ChannelEstimate, record: IterationRecord) -> dict[str, Any]:
+    def _policy(
+        self, learning: Learning, state: LearningState, estimate: ChannelEstimate, record: IterationRecord
+    ) -> dict[str, Any]:
         return self.run | {
             "iteration": record.iteration,
             "vehicle_seconds": record.seconds,
             "critic": record.critic,
             "actor": record.actor,
-            "trim": planner.policy.trim,
-            "features": features_of(planner.basis),
+            "trim": state.trim,
+            "features": features_of(learning.basis),
             "estimate": estimate.state_dict(),
         }

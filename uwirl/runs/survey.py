@@ -19,13 +19,13 @@ from uwirl.runs.recorded import recorded
 from uwirl.snr.diagnostics import Diagnostics, diagnose
 from uwirl.snr.kriging import Kriging
 from uwirl.snr.log import Log, LogError, read_log
-from uwirl.world.messages import Readings
 from uwirl.snr.model import UnidentifiableError, observations
 from uwirl.snr.outliers import reject_outliers
 from uwirl.study import estimate_report, run_folder
 from uwirl.study.snr_map import Grid, SnrMap, make_grid, make_map
 from uwirl.study.whole_files import write_arrays
-from uwirl.world.acoustics import Channel
+from uwirl.world.acoustics import LinkBudget
+from uwirl.world.messages import Readings
 
 log = logging.getLogger("uwirl")
 
@@ -42,7 +42,7 @@ class Survey:
         whole: the log.
         used: those of its readings that count.
         refused: lines of those that are not believed, [k].
-        known: the channel, of which K, n and the fading mean nothing.
+        budget: what is known of links beforehand.
         sender: where the map's links begin, [3], m.
         grid: of the map.
     """
@@ -51,7 +51,7 @@ class Survey:
     whole: Log
     used: Log
     refused: Tensor
-    known: Channel
+    budget: LinkBudget
     sender: Tensor
     grid: Grid
 
@@ -64,16 +64,16 @@ class Survey:
             ConfigError: a setting does not suit it.
         """
         torch.set_num_threads(config.threads)
-        path, known = Path(config.data or ""), build.make_channel(config.channel)
+        path, budget = Path(config.data or ""), build.make_channel(config.channel).budget
         whole = read_log(path)
         used = whole.thinned(config.max_readings)
-        _check_identifiable(path, used.readings, known)
+        _check_identifiable(path, used.readings, budget)
         refused = used.line[:0]
         if config.estimator.robust:
-            believed = screen(used.readings, known).snr[0][used.message, used.sensor]
+            believed = reject_outliers(used.readings, budget).snr[0][used.message, used.sensor]
             refused = used.line[believed.isnan()]
             used = replace(used, snr=believed).thinned(config.max_readings)
-            _check_identifiable(path, used.readings, known)
+            _check_identifiable(path, used.readings, budget)
         from_m, z_m = config.map.from_m, config.map.z_m
         sender = whole.transmitters[-1] if from_m is None else torch.tensor(from_m, dtype=torch.float64)
         places = torch.cat([whole.transmitters, whole.receivers, sender[None]])
@@ -82,12 +82,12 @@ class Survey:
             grid = make_grid(places, z, config.map.spacing_m, used.heard)
         except ValueError as error:
             raise ConfigError("map.spacing_m", str(error)) from None
-        return cls(config, whole, used, refused, known, sender, grid)
+        return cls(config, whole, used, refused, budget, sender, grid)
 
 
-def _check_identifiable(path: Path, readings: Readings, known: Channel) -> None:
+def _check_identifiable(path: Path, readings: Readings, budget: LinkBudget) -> None:
     try:
-        next(observations(readings, known))
+        next(observations(readings, budget))
     except UnidentifiableError as error:
         raise LogError(path, str(error)) from None
 
@@ -127,7 +127,7 @@ def _estimate(survey: Survey, folder: Path) -> dict[str, Any]:
         log.info("%s", text)
     # What is not believed has been left out already.
     estimator = build.make_estimator(replace(config.estimator, robust=False))
-    estimate = estimator(readings, survey.known)
+    estimate = estimator(readings, survey.budget)
     for text in estimate_report.table(estimate, used.heard):
         log.info("%s", text)
 

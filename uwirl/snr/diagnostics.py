@@ -17,9 +17,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwirl.world.messages import Readings
 from uwirl.world.acoustics import Channel
 from uwirl.world.geometry import distances
+from uwirl.world.messages import Readings
 
 BINS = 20
 # Pairs farther apart than this share of the longest distance are few and all alike.

@@ -14,10 +14,10 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from uwirl.world.messages import Readings
 from uwirl.snr.model import NOISELESS
 from uwirl.world.acoustics import Channel
 from uwirl.world.geometry import distances
+from uwirl.world.messages import Readings
 
 # Beyond, the covariance of the readings alone takes more than 0.8 GB, and its factor as much.
 MAX_READINGS = 10_000

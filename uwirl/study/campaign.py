@@ -148,7 +148,9 @@ def fly(
             }
         )
     room = env.scenario.vehicle_radius + getattr(evaluator.guard, "margin_m", 0.0)
-    verdicts = [layouts.feasible(evaluator.mission.targets.frame.target, room + d) for d in (0.0, AMBIGUITY, -AMBIGUITY)]
+    verdicts = [
+        layouts.feasible(evaluator.mission.targets.frame.target, room + d) for d in (0.0, AMBIGUITY, -AMBIGUITY)
+    ]
     joined = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
     return Outcomes(layouts.kind, verdicts[0], verdicts[1] != verdicts[2], **joined)
 

@@ -18,8 +18,8 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from uwirl.irl.policy_iteration import IterationRecord
 from uwirl.motion.features import AXES, MotionBasis
+from uwirl.motion.learning import IterationRecord
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import LinksAtMessages
 from uwirl.study.whole_files import write_figure

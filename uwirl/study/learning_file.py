@@ -10,13 +10,14 @@ import torch
 from torch import Tensor
 
 from uwirl.irl.networks import Basis
-from uwirl.irl.policy_iteration import IterationRecord
+from uwirl.irl.policy_iteration import LearnerState
 from uwirl.motion.experience import FlightState
-from uwirl.motion.planner import LearnerState
+from uwirl.motion.learning import IterationRecord, Learning, LearningState
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study import checkpoint
 from uwirl.study.checkpoint import CheckpointError
-from uwirl.world.acoustics import Channel
+from uwirl.world.acoustics import LinkBudget
+from uwirl.world.relay import WorldState
 
 # Without these no run can have written it.
 NEEDED = ("config", "config_hash", "overrides", "estimate", "actor", "trim", "features", "iteration")
@@ -53,28 +54,46 @@ def records_of(history: dict[str, Any]) -> list[IterationRecord]:
     return [IterationRecord(**dict(zip(names, row, strict=True))) for row in rows]
 
 
-def learner_of(state: LearnerState) -> dict[str, Any]:
-    """A learner's state as plain data, but for its newest record, which is the last of its history."""
+def learner_of(state: LearningState) -> dict[str, Any]:
+    """A learner's state as plain data, but for its newest iterates, which are the last of its history."""
+    learner, flight = state.learner, state.flight
     return {
-        "flight": dict(state.flight._asdict()),
-        "solver": state.solver,
+        "flight": {"world": dict(flight.world._asdict()), "leg": flight.leg},
+        "solver": dict(learner.solver._asdict()),
+        "average_cost": learner.average_cost,
+        "rows": learner.rows,
         "trim": state.trim,
-        "start_weights": state.start_weights,
+        "start": state.start,
+        "seconds": state.seconds,
         "contacts": state.contacts,
     }
 
 
-def restore(path: Path, content: dict[str, Any]) -> tuple[LearnerState, list[IterationRecord]]:
-    """A learner's state, and its records so far.
+def records_so_far(path: Path, content: dict[str, Any]) -> list[IterationRecord]:
+    """Of a learner that is to go on.
 
     Raises:
         CheckpointError: the checkpoint holds a policy alone.
     """
     if "learner" not in content:
         raise CheckpointError(f"{path}: holds a policy but no learner to continue; resume from last.pt")
-    learner, records = content["learner"], records_of(content["history"])
-    flight = FlightState(**learner["flight"])
-    return LearnerState(**{**learner, "record": records[-1], "flight": flight}), records
+    return records_of(content["history"])
+
+
+def restore(learning: Learning, content: dict[str, Any]) -> LearningState:
+    """The state behind `learner_of`.
+
+    Args:
+        learning: whose state it is.
+        content: of the checkpoint.
+    """
+    saved, last = content["learner"], records_of(content["history"])[-1]
+    solver = type(learning.iteration.solver.init(last.actor))(**saved["solver"])
+    learner = LearnerState(
+        solver, last.critic, last.actor, saved["average_cost"], saved["rows"], last.iteration, last.converged, ()
+    )
+    flight = FlightState(WorldState(**saved["flight"]["world"]), saved["flight"]["leg"])
+    return LearningState(flight, learner, saved["trim"], saved["start"], saved["seconds"], saved["contacts"])
 
 
 def features_of(basis: Basis) -> dict[str, Any]:
@@ -82,19 +101,19 @@ def features_of(basis: Basis) -> dict[str, Any]:
     return {"critic": list(basis.critic_names), "actor": [list(names) for names in basis.actor_names]}
 
 
-def take_estimate(path: Path, content: dict[str, Any], known: Channel, vehicles: int) -> ChannelEstimate:
+def take_estimate(path: Path, content: dict[str, Any], budget: LinkBudget, vehicles: int) -> ChannelEstimate:
     """The channel estimate of another run; that of one vehicle serves any number.
 
     Args:
         path: of the checkpoint, for messages.
         content: of the checkpoint.
-        known: what is known of the channel here.
+        budget: what is known of links here.
         vehicles: M.
 
     Raises:
         CheckpointError: it is of several vehicles, and not of so many.
     """
-    estimate = ChannelEstimate.from_state(content["estimate"], known)
+    estimate = ChannelEstimate.from_state(content["estimate"], budget)
     found = len(estimate.value)
     if found not in (1, vehicles):
         raise CheckpointError(

@@ -7,7 +7,7 @@ step of the world's stream.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -117,8 +117,8 @@ def draw_layouts(
             drawn = place(site)
             good = _acceptable(site, ends, drawn, vehicle_radius, clearance)
             start[rows[good]] = site.start[good]
-            for field in fields(Obstacles):
-                getattr(obstacles, field.name)[rows[good], :most] = getattr(drawn, field.name)[good]
+            for field, new in zip(obstacles, drawn, strict=True):
+                field[rows[good], :most] = new[good]
             rows = rows[~good]
         if len(rows):
             raise RuntimeError(f"no acceptable layout of kind {name} in {ATTEMPTS} attempts for world {int(rows[0])}")

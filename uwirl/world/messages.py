@@ -66,7 +66,7 @@ class Readings:
 
 
 def transmitters(scenario: Scenario, position: Tensor) -> Tensor:
-    """Where the messages of one exchange are sent: vehicle [..., 3], source and destination; [..., 3, 3], float64, m."""
+    """Where an exchange's messages are sent: vehicle [..., 3], source and destination; [..., 3, 3], float64, m."""
     nodes = [node.expand_as(position) for node in (scenario.source, scenario.destination)]
     return torch.stack([position, *nodes], -2).to(torch.float64)
 

@@ -36,4 +36,3 @@ class Observation(NamedTuple):
     def position(self) -> Tensor:
         """[B, M, 3], a view, m."""
         return self.eta[..., :3]
-

@@ -89,7 +89,9 @@ class RandomStreams:
         counter = torch.stack(
             [
                 world & _MASK,
-                torch.full_like(world, step & _MASK) if isinstance(step, int) else (step & _MASK)[:, None].expand_as(world),
+                torch.full_like(world, step & _MASK)
+                if isinstance(step, int)
+                else (step & _MASK)[:, None].expand_as(world),
                 torch.full_like(world, int(stream)),
                 blocks.expand_as(world),
             ],

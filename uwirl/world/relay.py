@@ -153,7 +153,9 @@ class Relay:
         """
         command = self._command(tau, state)
         if target is not None and target.shape != state.target.shape:
-            raise ValueError(f"target has shape {list(target.shape)}, needs {list(state.target.shape)} (world, vehicle)")
+            raise ValueError(
+                f"target has shape {list(target.shape)}, needs {list(state.target.shape)} (world, vehicle)"
+            )
         components = torch.empty_like(state.components)
         self._advance(state, command, components)
         after = WorldState(components, state.step + 1, state.target if target is None else target)
@@ -163,9 +165,9 @@ class Relay:
         """What the vehicles perceive at a state; a pure function of it."""
         scenario = self.scenario
         x, step = state.components, state.step
-        time = step * scenario.dt
+        time = step.double() * scenario.dt
         eta, nu = x[:4].movedim(0, -1), x[4:].movedim(0, -1)
-        contact = (x[2] >= 0.0).to(torch.int8).sub_(x[2] <= -scenario.depth)
+        contact = (x[2] >= 0.0).to(torch.int8) - (x[2] <= -scenario.depth).to(torch.int8)
         if not scenario.navigation.is_exact:
             error = scenario.navigation.error(self.streams, step, time, x.shape[2]).to(x.dtype)
             eta, nu = eta + error[..., :4], nu + error[..., 4:]
@@ -227,7 +229,7 @@ class Relay:
     def _advance(self, state: WorldState, command: Tensor, out: Tensor) -> None:
         """The components after one step, written into `out` [8, B, M]."""
         scenario = self.scenario
-        water = None if self._water is None else self._water(state.step * scenario.dt).to(out.dtype)
+        water = None if self._water is None else self._water(state.step.double() * scenario.dt).to(out.dtype)
         self.vehicle.step(state.vehicles, command, scenario.dt, water, out=out)
         # Surface and floor stop a vehicle's centre.
         z, w = out[2], out[6]

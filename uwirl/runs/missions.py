@@ -1,0 +1,130 @@
+"""What was found, flown on the true channel: the scenario's own mission, or one in each of many random layouts."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from uwirl import build
+from uwirl.algorithm import Estimated
+from uwirl.config.schema import Config, IrlConfig
+from uwirl.motion.features import MotionBasis
+from uwirl.motion.learning import IterationRecord, Learning, LearningState
+from uwirl.runs import pictures
+from uwirl.runs.summary import table
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.study import run_folder, shadowing
+from uwirl.study.campaign import fly
+from uwirl.study.evaluation import Evaluation
+from uwirl.study.tensorboard import TensorBoard
+from uwirl.study.whole_files import write_arrays
+from uwirl.world.agent import Agent
+from uwirl.world.relay import Relay
+
+log = logging.getLogger("uwirl")
+
+# Worlds flown together: their trajectories take about 100 MB.
+BATCH = 250
+
+
+class MissionFlight:
+    """The scenario's own mission.
+
+    Args:
+        config: of the run.
+        env: its worlds.
+        folder: of the run.
+    """
+
+    def __init__(self, config: Config, env: Relay, folder: Path):
+        self.config, self.env, self.folder = config, env, folder
+        self.evaluator = build.make_evaluator(config, env)
+
+    def fly(self, agent: Agent) -> Evaluation:
+        """Of the scenario's start."""
+        return self.evaluator.fly(agent)
+
+    def iterates(
+        self, learning: Learning, state: LearningState, records: Sequence[IterationRecord]
+    ) -> tuple[Evaluation, list[float]]:
+        """The start policy's mission, and J of every iterate."""
+        start = self.fly(learning.agent(state.start, state.trim))
+        weights = torch.stack([record.actor[: self.env.scenario.vehicles] for record in records])
+        costs = self.evaluator.cost_of_weights(learning, weights, state.trim, self.env.scenario.start[None])
+        return start, costs[:, 0].tolist()
+
+    def baseline(self, estimate: ChannelEstimate) -> dict[str, Evaluation]:
+        """The mission of the planner to compare with, by its name."""
+        planner = build.make_planner(self.config, self.config.baseline, self.env)
+        return {self.config.baseline.name: self.fly(planner.fit(self.env, estimate))}
+
+    def settled(self, evaluation: Evaluation) -> bool:
+        """epsilon_4: whether 1/C no longer changes over a window at the end of the mission."""
+        planner = self.config.planner
+        assert isinstance(planner, IrlConfig)
+        inverse = 1.0 / evaluation.chain_capacity[:, 0]
+        window = round(planner.window_s / evaluation.trajectory.dt)
+        return float((inverse[-1] - inverse[-1 - window]).abs()) < planner.tolerance_inverse_capacity
+
+    def report(
+        self,
+        flown: dict[str, Evaluation],
+        stage_1: Estimated,
+        board: TensorBoard | None = None,
+        records: Sequence[IterationRecord] = (),
+        basis: MotionBasis | None = None,
+    ) -> dict[str, Any]:
+        """Trajectory, figures and table of missions of which the last counts; returns entries of metrics.json."""
+        evaluation = list(flown.values())[-1]
+        trajectory, targets = evaluation.trajectory, self.evaluator.mission.targets
+        messages = shadowing.messages(self.env, trajectory)
+        run_folder.write_trajectory(self.folder, evaluation, messages)
+        picture = pictures.mission(self.config.logging, self.folder, self.env, evaluation, messages, records, basis)
+        if board is not None:
+            board.evaluation(evaluation, messages)
+            if picture:
+                board.picture(picture)
+        for line in table(flown):
+            log.info("%s", line)
+        shadowed = shadowing.summary(self.env, trajectory, targets, stage_1.readings, stage_1.estimate)
+        return evaluation.metrics() | shadowed
+
+
+def campaign(config: Config, agent_in: Callable[[Relay], Agent], folder: Path) -> dict[str, Any]:
+    """Fly every layout of `scenario.layouts`, write layouts.npz and the figure; returns entries of metrics.json.
+
+    Args:
+        config: with `scenario.layouts`.
+        agent_in: the agent for some of the worlds.
+        folder: of the run.
+    """
+    worlds, layouts = build.make_layouts(config)
+    shown: list[tuple[Relay, Evaluation]] = []
+    flown = 0
+
+    def watch(some: Relay, evaluation: Evaluation) -> None:
+        nonlocal flown
+        flown += some.worlds
+        log.info("  flown: %d of %d layouts", flown, len(layouts.kind))
+        if not shown:
+            shown.append((some, evaluation))
+
+    outcomes = fly(worlds, layouts, agent_in, build.make_evaluator(config, worlds), BATCH, watch)
+    for line in outcomes.table():
+        log.info("%s", line)
+    names = ("kind", "feasible", "ambiguous", "collisions", "clearance", "separation", "t99", "blocked", "cost")
+    fields = {name: getattr(outcomes, name).numpy(force=True) for name in names}
+    start, obstacles = layouts.start.numpy(force=True), layouts.obstacles
+    write_arrays(
+        folder / "layouts.npz",
+        start=start,
+        centre=torch.where(obstacles.present[..., None], obstacles.centre, torch.nan).numpy(force=True),
+        radius=obstacles.radius.numpy(force=True),
+        **fields,
+    )
+    pictures.layouts(config.logging, folder, *shown[0], layouts.kind)
+    return outcomes.metrics()

@@ -1,0 +1,114 @@
+"""What `uwirl` does in its run folder: Algorithm 1 with its listeners, then a mission on the true channel."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from uwirl import build
+from uwirl.algorithm import Estimated, Planned, algorithm_1
+from uwirl.config.overrides import effective
+from uwirl.config.schema import Config
+from uwirl.motion.learning import LearningState
+from uwirl.runs.interruption import Interruption
+from uwirl.runs.listeners import Board, Listener, Narrator, Saver
+from uwirl.runs.missions import MissionFlight, campaign
+from uwirl.runs.recorded import recorded
+from uwirl.runs.saving import Checkpoints, Origin
+from uwirl.study import run_folder
+from uwirl.study.tensorboard import TensorBoard
+
+log = logging.getLogger("uwirl")
+
+
+def run(config: Config, experiment: str, folder: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """Run one experiment and write its folder.
+
+    Args:
+        config: validated.
+        experiment: its name.
+        folder: existing, where everything is written.
+        overrides: the command line that composes the settings, by which those of a sweep differ.
+
+    Returns:
+        What metrics.json holds; `status` is "failed", with `error`, after one of FAILURES. Anything else that is raised
+        is written there too, and raised on.
+    """
+    torch.set_num_threads(config.threads)
+
+    def work(metrics: dict[str, Any], interruption: Interruption) -> None:
+        origin = Origin.of(config)
+        settings = replace(config, resume=None)
+        metrics |= {"overrides": effective(overrides), "config_hash": origin.config_hash(settings)}
+        run_folder.write_config(folder, settings)
+        checkpoints = Checkpoints(folder, settings, metrics["config_hash"], overrides)
+        with TensorBoard(folder / "tb" if config.logging.tensorboard else None) as board:
+            board.config(settings)
+            metrics |= _work(settings, folder, origin, checkpoints, interruption, board)
+            board.compare(experiment, config.seed, overrides, metrics)
+
+    return recorded(work, experiment, config.seed, folder)
+
+
+@torch.no_grad()
+def _work(
+    config: Config,
+    folder: Path,
+    origin: Origin,
+    checkpoints: Checkpoints,
+    interruption: Interruption,
+    board: TensorBoard,
+) -> dict[str, Any]:
+    env = build.make_relay(config)
+    planner, estimator = build.make_planner(config, config.planner, env), build.make_estimator(config.estimator, env)
+    records = origin.records()
+    if records:
+        log.info("continues after iteration %d, %.0f s of flight", records[-1].iteration, records[-1].seconds)
+    saver = Saver(checkpoints, interruption, board, records)
+    narrator = Narrator(getattr(config.planner, "max_time_s", 0.0), config.logging.progress)
+    listeners: list[Listener] = [narrator, Board(board, records), saver]
+    with interruption.postponed():
+        for event in algorithm_1(env, estimator, planner, origin.start(env)):
+            for listen in listeners:
+                listen(event)
+            match event:
+                case Estimated():
+                    estimated = event
+                case Planned():
+                    planned = event
+
+    metrics = run_folder.estimate_metrics(estimated.estimate)
+    if planned.learned is not None:
+        metrics |= learning_metrics(config, planned.learned[1])
+    if config.scenario.layouts is not None:
+        return metrics | campaign(config, planned.agent_in, folder)
+
+    flight = MissionFlight(config, env, folder)
+    flown = {config.planner.name: flight.fly(planned.agent_in(env))}
+    if planned.learned is None:
+        return metrics | flight.report(flown, estimated, board)
+    learning, state = planned.learned
+    start, costs = flight.iterates(learning, state, records)
+    flown = {"start policy": start, **flight.baseline(estimated.estimate), **flown}
+    metrics |= flight.report(flown, estimated, board, records, learning.basis)
+    metrics["converged"] = records[-1].converged and flight.settled(flown[config.planner.name])
+    metrics |= {"cost_total_start_policy": float(start.cost[0]), "cost_per_iteration": costs}
+    checkpoints.best(learning, state, estimated.estimate, records, costs)
+    checkpoints.last(learning, state, estimated.estimate, records, metrics)
+    board.cost_per_iteration(costs)
+    return metrics
+
+
+def learning_metrics(config: Config, state: LearningState) -> dict[str, Any]:
+    """Entries of metrics.json about how it was learned."""
+    return {
+        "learning_vehicle_seconds": state.seconds,
+        "learning_env_steps": round(state.seconds / config.scenario.dt_s),
+        "learning_collisions": state.contacts,
+        "policy_iterations": state.learner.iteration,
+    }
