@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from torch import Tensor
 
 from uwirl.irl.grid_critic import solve_eikonal
-from uwirl.irl.sweeps import CubeSweeps, SquareSweeps
+from uwirl.irl.sweeps import BoxSweeps, SquareSweeps
 
 
 def tensor(*entries: float) -> Tensor:
@@ -86,7 +86,7 @@ def test_three_axes_converge_with_first_order(h: tuple[float, ...]):
         square = ((p - target) ** 2).sum(-1)
         exact = torch.acosh(1.0 + (g @ g) * square / (2.0 * v * 2.0)) / g.norm()
         phi = torch.where(square <= 4.0, exact, 1e100)[..., None]
-        sweeps = CubeSweeps(1.0 / v[..., None], fine, 1e100)
+        sweeps = BoxSweeps(1.0 / v[..., None], fine, 1e100)
         for _ in range(4):
             phi = sweeps.round(phi)
         errors.append(float((phi[..., 0] - exact).abs().max()))
@@ -105,7 +105,7 @@ def test_what_does_not_change_along_an_axis_is_the_problem_without_it(axis: int)
         x.unsqueeze(axis).repeat_interleave(5, axis)[..., None]
         for x in (plane, value, torch.where(around, value, 1e100))
     )
-    sweeps, phi = CubeSweeps(w, [*h[:axis], 3.0, *h[axis:]], 1e100), start
+    sweeps, phi = BoxSweeps(w, [*h[:axis], 3.0, *h[axis:]], 1e100), start
     for _ in range(10):
         phi = sweeps.round(phi)
     torch.testing.assert_close(phi, expected, rtol=1e-10, atol=0)
@@ -125,7 +125,7 @@ def test_both_kinds_of_sweeps_agree():
     w, h, large = clutter((23, 19), 3).movedim(0, -1), 0.4, 1e100
     phi = torch.full_like(w, large)
     phi[3, 4, 0] = phi[20, 2, 1] = phi[10, 17, 2] = 0.0
-    square, cube = SquareSweeps(w * h, large), CubeSweeps(w, (h, h), large)
+    square, cube = SquareSweeps(w * h, large), BoxSweeps(w, (h, h), large)
     fast, general = phi, phi
     for _ in range(6):
         fast, general = square.round(fast), cube.round(general)
