@@ -198,6 +198,36 @@ def test_a_step_never_passes_the_target():
     torch.testing.assert_close(ahead, torch.tensor([1.3, 0.9, 0.5, 0.1, 0.0], dtype=torch.float64), rtol=0, atol=1e-12)
 
 
+def test_a_step_and_its_interpolation_end_at_the_edge_whatever_the_spacing():
+    """0.37 has no exact binary form: the far edge must be the last node's place in double precision."""
+    w = torch.ones(1, 9, 7, dtype=torch.float64)
+    found = solve_eikonal(w, ORIGIN, 0.37, _target(1.0, 1.0))
+    far = (ORIGIN + torch.tensor([50.0, 40.0], dtype=torch.float64))[None, None]
+    edge = found.path(far, max_steps=0)[0, 0, 0] - ORIGIN
+    torch.testing.assert_close(edge, torch.tensor([8 * 0.37, 6 * 0.37], dtype=torch.float64), rtol=0, atol=1e-12)
+    assert float(found.value_at(far)[0, 0]) == float(found.value[0, -1, -1])
+
+
+def test_replaced_maps():
+    """Of three maps the last and the first are replaced by two others; the three stay as they were."""
+    w, target = _clutter(5)
+    three, two = (solve_eikonal(w[rows], ORIGIN, 0.5, target[rows]) for rows in ([0, 1, 2], [3, 4]))
+    before = [part.clone() for part in three]
+    after = three.replaced(torch.tensor([2, 0]), two)
+    assert all(torch.equal(a, b) for a, b in zip(three, before, strict=True))
+    expected = solve_eikonal(w[[4, 1, 3]], ORIGIN, 0.5, target[[4, 1, 3]])
+    assert all(torch.equal(a, b) for a, b in zip(after, expected, strict=True))
+    masked = three.replaced(torch.tensor([True, False, True]), two)
+    assert torch.equal(masked.target, target[[3, 1, 4]])
+
+
+def test_stacked_maps():
+    w, target = _clutter(5)
+    parts = [solve_eikonal(w[rows], ORIGIN, 0.5, target[rows]) for rows in ([0, 1], [2], [3, 4])]
+    whole = solve_eikonal(w, ORIGIN, 0.5, target)
+    assert all(torch.equal(a, b) for a, b in zip(GridMap.stack(parts), whole, strict=True))
+
+
 def test_single_precision():
     w, target = _clutter(2)
     found = solve_eikonal(w.float(), ORIGIN.float(), 0.5, target.float())

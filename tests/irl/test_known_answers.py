@@ -52,8 +52,8 @@ def test_printed_sign_converges_to_wrong_gains(known, generator):
     operator.actor_sign = 1.0
     segment = known.column(known.exact_experience(problem, generator))
     start = torch.zeros(1, operator.n3, dtype=torch.float64)
-    actor = known.learn(problem.basis, ZRecursiveLeastSquares(operator, Regularisation()), segment, start)
-    assert not known.relative_error(problem.gain(actor.weight)[0], known.riccati_gain(problem)) < 0.1
+    learned = known.learn(operator, ZRecursiveLeastSquares(operator, Regularisation()), segment, start)
+    assert not known.relative_error(problem.gain(learned.actor)[0], known.riccati_gain(problem)) < 0.1
 
 
 def test_exact_windows_agree_with_quadrature(known):
@@ -67,5 +67,7 @@ def test_exact_windows_agree_with_quadrature(known):
     basis = problem.basis
     q = ((x @ problem.Q) * x).sum(-1)
     sampled = problem.operator.segment(basis.critic(x), basis.actor(x), controls, q, 0.003, 100, 100, held=False)
-    for exact, found in zip(problem.exact_segment(x0, tau, 0.3), sampled, strict=True):
+    exact_segment = problem.exact_segment(x0, tau, 0.3)
+    assert exact_segment._fields == sampled._fields
+    for exact, found in zip(exact_segment, sampled, strict=True):
         torch.testing.assert_close(exact, found[0], rtol=0, atol=1e-10)

@@ -16,9 +16,10 @@ def data() -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def run(rls: RecursiveLeastSquares, theta: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    state = rls.init()
     for row, target in zip(theta, y, strict=True):
-        rls.update(row, target)
-    return rls.weight
+        state = rls.update(state, row, target)
+    return state.weight
 
 
 def weighted_ridge(theta, y, weights, penalty):
@@ -51,6 +52,17 @@ def test_learners_do_not_mix(data):
     together = run(RecursiveLeastSquares(UNKNOWNS, LEARNERS), theta, y)
     alone = run(RecursiveLeastSquares(UNKNOWNS), theta[:, 1:2], y[:, 1:2])
     torch.testing.assert_close(together[1:2], alone, rtol=0, atol=1e-12)
+
+
+def test_an_update_leaves_the_state_before_it_alone(data):
+    theta, y = data
+    rls = RecursiveLeastSquares(UNKNOWNS, LEARNERS, kappa=0.9)
+    before = rls.update(rls.init(), theta[0], y[0])
+    kept = [x.clone() for x in before]
+    once, again = (rls.update(before, theta[1], y[1]) for _ in range(2))
+    assert all(torch.equal(a, b) for a, b in zip(once, again, strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(before, kept, strict=True))
+    assert not torch.equal(once.weight, before.weight)
 
 
 @pytest.mark.parametrize(("kappa", "form"), [(0.0, "paper"), (1.1, "exponential"), (1.0, "classical")])

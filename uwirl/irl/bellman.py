@@ -131,7 +131,7 @@ class BellmanOperator:
         Returns:
             Segment of shape [S, ...].
         """
-        tau = tau.repeat_interleave(torch.tensor(self.sizes, device=tau.device), dim=-1)
+        tau = tau.repeat_interleave(torch.tensor(self.sizes, device=tau.device), dim=-1, output_size=self.n3)
         if held:
             drive = held_product(phi3, tau, dt, steps, stride)
         else:

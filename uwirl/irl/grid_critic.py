@@ -5,7 +5,8 @@ least integral of the slowness w over the ways to the target, and its steepest d
 minima globally, which quadratic and network critics do not.
 
 A grid has one, two or three axes in any units, each with a spacing of its own. Lengths are taken in the coordinates as
-they are given: |grad Phi|_(R^-1) = w with a diagonal R becomes such an equation once axis i is scaled by sqrt(R_i).
+they are given: |grad Phi|_(R^-1) = w with a diagonal R becomes such an equation once axis i is scaled by sqrt(R_i), and
+steepest descent there is the way along R^-1 grad Phi.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwirl.irl.sweeps import CubeSweeps, SquareSweeps
+from uwirl.irl.sweeps import BoxSweeps, SquareSweeps
 
 
 def _unit(x: Tensor) -> Tensor:
@@ -169,25 +170,17 @@ def solve_eikonal(
             a spacing that is not positive and finite or not one for each axis.
         ArithmeticError: not converged within `max_rounds`.
     """
-    sides = slowness.shape[1:]
-    if not 1 <= len(sides) <= 3 or min(sides) < 3:
-        raise ValueError(f"slowness must be [B, *n] with 1 to 3 axes of at least 3 nodes, got {list(slowness.shape)}")
-    if not bool(((slowness > 0.0) & slowness.isfinite()).all()):
-        raise ValueError("slowness must be positive and finite everywhere")
-    h = _spacings(spacing, len(sides))
+    h = _spacings(spacing, slowness.ndim - 1)
     origin, target, along = origin.to(slowness), target.to(slowness), slowness.new_tensor(h)
-    where = (target - origin) / along
-    if not bool(((where >= 0.0) & (where <= where.new_tensor(sides) - 1.0)).all()):
-        raise ValueError(f"a target lies outside the grid of {list(sides)} nodes, {h} apart")
-
+    _check(slowness, (target - origin) / along)
     w = slowness.movedim(0, -1)
     large = math.sqrt(torch.finfo(slowness.dtype).max) / 4.0  # its square, too, is finite
     phi = _around_target(slowness, origin, along, target, h, large)
-    sweeps: SquareSweeps | CubeSweeps
+    sweeps: SquareSweeps | BoxSweeps
     if len(h) == 2 and h[0] == h[1]:
         sweeps = SquareSweeps(w * h[0], large)
     else:
-        sweeps = CubeSweeps(w, h, large)
+        sweeps = BoxSweeps(w, h, large)
     nodes = tuple(range(len(h)))
     active = torch.ones(len(slowness), dtype=torch.bool, device=slowness.device)
     rounds = torch.zeros(len(slowness), dtype=torch.long, device=slowness.device)
@@ -202,6 +195,20 @@ def solve_eikonal(
         active &= ~(change <= tolerance * phi.amax(nodes))
     value = phi.movedim(-1, 0).contiguous()
     return GridMap(value, _upwind_descent(value, [min(h) / x for x in h]), target, origin, along, rounds)
+
+
+def _check(slowness: Tensor, where: Tensor) -> None:
+    """Refuse slownesses, and targets that lie at `where` [B, d] in nodes, that `solve_eikonal` cannot serve."""
+    sides = slowness.shape[1:]
+    if not 1 <= len(sides) <= 3 or min(sides) < 3:
+        raise ValueError(f"slowness must be [B, *n] with 1 to 3 axes of at least 3 nodes, got {list(slowness.shape)}")
+    if not bool(((slowness > 0.0) & slowness.isfinite()).all()):
+        raise ValueError("slowness must be positive and finite everywhere")
+    inside = ((where >= 0.0) & (where <= where.new_tensor(sides) - 1.0)).all(-1)
+    if not bool(inside.all()):
+        raise ValueError(
+            f"a target lies outside the grid of {list(sides)} nodes: at {where[~inside][0].tolist()} of them"
+        )
 
 
 def _spacings(spacing: float | Sequence[float] | Tensor, axes: int) -> list[float]:

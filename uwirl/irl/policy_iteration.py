@@ -100,7 +100,6 @@ class PolicyIteration(Generic[S]):
         # Copies, since whoever holds these weights may set them anew.
         return LearnerState(self.solver.init(actor), critic.clone(), actor.clone(), None, 0, 0, False, ())
 
-    @torch.no_grad()
     def update(self, state: LearnerState[S], batch: Batch) -> LearnerState[S]:
         """Learn from a stretch of experience; `state` stays as it is.
 

@@ -167,21 +167,25 @@ class ZRecursiveLeastSquares(LeastSquaresPolicyEvaluation):
         return products if Z is None else Z + products
 
     def solve(self, state: ZState, weights: Tensor) -> tuple[Solution, ZState]:
-        groups = [
-            (weight * Z, weight * n)
-            for Z, n, weight in zip(state.Z, state.rows, state.weights, strict=True)
-            if Z is not None and weight > 0.0
-        ]
-        if not groups:
-            raise ValueError("no experience to learn from")
-        # One after the other from the first, since the order of a sum decides its rounding.
-        Z, n = groups[0]
-        for more, rows in groups[1:]:
-            Z, n = Z + more, n + rows
+        Z, n = self._total(state)
         L, target = self.operator.lift(weights)
         LZ = L @ Z / n
         equations = NormalEquations.scaled(LZ @ L.mT, (LZ @ target[..., None])[..., 0])
         return self.finish(equations.regularised(*self.penalty(weights))), state
+
+    @staticmethod
+    def _total(state: ZState) -> tuple[Tensor, float]:
+        """Sum of z z' over all groups, each with its weight, [L, nz, nz], and that of the weights of all windows."""
+        total, n = None, 0.0
+        for Z, rows, weight in zip(state.Z, state.rows, state.weights, strict=True):
+            if Z is None or weight == 0.0:
+                continue
+            Z = Z if weight == 1.0 else weight * Z
+            total = Z if total is None else total + Z
+            n += weight * rows
+        if total is None:
+            raise ValueError("no experience to learn from")
+        return total, n
 
 
 class SegmentsState(NamedTuple):

@@ -70,7 +70,7 @@ class SquareSweeps:
             nodes[:, :, i] = x.flip(flip)
 
 
-class CubeSweeps:
+class BoxSweeps:
     """Sweeps in any number of dimensions, with a spacing for each axis."""
 
     def __init__(self, w: Tensor, spacing: Sequence[float], large: float) -> None:
