@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from uwirl.config.schema import (
     BarrierGuardConfig,
     Config,
@@ -32,31 +34,11 @@ def make_cost(config: CostConfig) -> CostWeights:
 
 def make_guard(config: Config, env: Relay) -> Guard:
     """What stands between agent and thrusters."""
-    safety, scenario = config.safety, env.scenario
-    if isinstance(safety, BarrierGuardConfig):
-        u, v, w = safety.inertia_kg
-        return BarrierGuard(
-            safety.margin_m,
-            safety.separation_m,
-            safety.k_1,
-            safety.k_0,
-            (u, v, w),
-            env.vehicle.tau_max,
-            scenario.vehicle_radius,
-        )
-    if not isinstance(safety, EnergyGuardConfig):
-        return unguarded
-    return EnergyGuard(
-        safety.margin_m,
-        safety.separation_m,
-        safety.alpha,
-        safety.mass_upper_kg,
-        safety.mass_lower_kg,
-        safety.brake_force_N,
-        env.vehicle.tau_max,
-        scenario.dt,
-        scenario.vehicle_radius,
-    )
+    settings = asdict(config.safety)
+    settings.pop("name")
+    if isinstance(config.safety, BarrierGuardConfig):
+        return BarrierGuard.of(env, **settings)
+    return EnergyGuard.of(env, **settings) if isinstance(config.safety, EnergyGuardConfig) else unguarded
 
 
 def make_guidance(config: Config) -> Guidance:

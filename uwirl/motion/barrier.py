@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -22,6 +23,7 @@ from torch import Tensor
 from uwirl.motion.safety import nothing_near, obstacle_neighbours, vehicle_neighbours
 from uwirl.world.geometry import turned_to_body, turned_to_inertial
 from uwirl.world.observation import Observation
+from uwirl.world.relay import Relay
 
 
 @dataclass(frozen=True)
@@ -29,22 +31,27 @@ class BarrierGuard:
     """safety=barrier.
 
     Attributes:
+        tau_max: thruster limits, [4].
+        vehicle_radius: m.
         margin_m: clearance to keep from obstacles, m.
         separation_m: distance to keep between the centres of vehicles, m.
         k_1: 1/s.
         k_0: 1/s^2.
         inertia_kg: in surge, sway and heave, as believed.
-        tau_max: thruster limits, [4].
-        vehicle_radius: m.
     """
 
-    margin_m: float
-    separation_m: float
-    k_1: float
-    k_0: float
-    inertia_kg: Sequence[float]
     tau_max: Tensor
     vehicle_radius: float
+    margin_m: float = 0.15
+    separation_m: float = 1.0
+    k_1: float = 2.0
+    k_0: float = 1.0
+    inertia_kg: Sequence[float] = (17.0, 24.2, 26.07)
+
+    @classmethod
+    def of(cls, env: Relay, **settings: Any) -> BarrierGuard:
+        """Of an environment's vehicles."""
+        return cls(env.vehicle.tau_max, env.scenario.vehicle_radius, **settings)
 
     def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
         """tau [B, M, 4], with surge and sway changed as little as the barriers ask for."""

@@ -94,16 +94,16 @@ class Exploration:
         up_m, yaw_rad, near_share, near_scale: see PoseDraw.
     """
 
-    leg_s: float
-    max_time_s: float
-    excitation_rms: Sequence[float]
-    excitation_strength: Sequence[float]
-    excitation_band_rad_s: Sequence[float]
-    across_share: float
-    up_m: float
-    yaw_rad: float
-    near_share: float
-    near_scale: float
+    leg_s: float = 5.0
+    max_time_s: float = 600.0
+    excitation_rms: Sequence[float] = (36.0, 36.0, 18.0, 3.0)
+    excitation_strength: Sequence[float] = (0.2, 1.0)
+    excitation_band_rad_s: Sequence[float] = (0.2, 4.2)
+    across_share: float = 0.4
+    up_m: float = 8.0
+    yaw_rad: float = 2.0
+    near_share: float = 0.2
+    near_scale: float = 0.15
 
     @property
     def excitation(self) -> Excitation:
@@ -152,8 +152,8 @@ class VirtualLinks(Exploration):
         relabel_time_s: what was seen so counts exp(-flight time / relabel_time_s) as much as what was flown.
     """
 
-    relabel: int
-    relabel_time_s: float
+    relabel: int = 4
+    relabel_time_s: float = 20.0
 
     def learners(self, env: Relay) -> int:
         """Each vehicle of each world learns for itself, L = B M."""
@@ -188,7 +188,7 @@ class Parallel(Exploration):
         worlds: number of worlds.
     """
 
-    worlds: int
+    worlds: int = 60
 
     def learners(self, env: Relay) -> int:
         """One for all, L = 1."""

@@ -76,7 +76,7 @@ class LinkFrameBasis(LinkFrameFeatures):
         length_scales_m: the L; infinity gives g(e) = e.
     """
 
-    def __init__(self, cost: RelayCost, length_scales_m: Sequence[float]):
+    def __init__(self, cost: RelayCost, length_scales_m: Sequence[float] = (2.0, math.inf)):
         self.cost = cost
         self.scales = tuple(float(L) for L in length_scales_m)
         tags = [f"L{L:g}" for L in self.scales]

@@ -51,12 +51,12 @@ class Geodesic:
         law: along the way.
     """
 
-    gain: float
-    lateral_damping: float
-    heading_stiffness: float
-    heading_damping: float
-    margin_m: float
-    map_settings: MapSettings
+    gain: float = 0.577
+    lateral_damping: float = 100.0
+    heading_stiffness: float = 40.0
+    heading_damping: float = 4.0
+    margin_m: float = 0.1
+    map_settings: MapSettings = field(default_factory=MapSettings)
     law: WayLaw = field(default_factory=WayLaw)
 
     def __call__(self, mission: Mission) -> Lead:

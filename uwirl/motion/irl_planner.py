@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 
 from uwirl.irl.bellman import BellmanOperator
-from uwirl.irl.solvers import Bounds, Solver
+from uwirl.irl.least_squares import Regularisation
+from uwirl.irl.solvers import Bounds, Solver, ZRecursiveLeastSquares
 from uwirl.motion.cost import CostWeights, RelayCost
-from uwirl.motion.experience import ExperienceSource
-from uwirl.motion.features import MotionBasis
-from uwirl.motion.guidance import Guidance
+from uwirl.motion.experience import ExperienceSource, VirtualLinks
+from uwirl.motion.features import LinkFrameBasis, MotionBasis
+from uwirl.motion.guidance import Geodesic, Guidance
 from uwirl.motion.learning import Learning
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.world.agent import Agent, Guard
 from uwirl.world.relay import Relay
+
+
+def z_rls(operator: BellmanOperator, bounds: Bounds) -> Solver:
+    """solver=z_rls: exact and recursive, within bounds that keep the actor a damped convex potential."""
+    return ZRecursiveLeastSquares(operator, Regularisation(ridge=1e-7, prior=1e-3), bounds)
 
 
 @dataclass(frozen=True)
@@ -28,7 +34,7 @@ class IrlPlanner:
         basis: features of critic and actor for a running cost.
         solver: from the Bellman operator and the actor's bounds.
         experience: where experience comes from.
-        guard: between policy and thrusters while learning.
+        guard: between policy and thrusters while learning; an EnergyGuard if None.
         guidance: the mission's way to the target; virtual links are flown to straight.
         inertia_lower: declared lower bound of each axis' inertia, kg, kg m^2: all the learner is told of the dynamics.
         start_gain: scales the start policy.
@@ -43,23 +49,23 @@ class IrlPlanner:
         max_time_s: T_max,2, of vehicle time, s.
     """
 
-    cost: CostWeights
-    basis: Callable[[RelayCost], MotionBasis]
-    solver: Callable[[BellmanOperator, Bounds], Solver]
-    experience: ExperienceSource
-    guard: Guard
-    guidance: Guidance
-    inertia_lower: Sequence[float]
-    start_gain: float
-    calibration_s: float
-    window_s: float
-    stride_s: float
-    residual_floor: float
-    updates: int
-    actor_sign: str
-    tolerance_weights: float
-    tolerance_inverse_capacity: float
-    max_time_s: float
+    cost: CostWeights = field(default_factory=CostWeights)
+    basis: Callable[[RelayCost], MotionBasis] = LinkFrameBasis
+    solver: Callable[[BellmanOperator, Bounds], Solver] = z_rls
+    experience: ExperienceSource = field(default_factory=VirtualLinks)
+    guard: Guard | None = None
+    guidance: Guidance = field(default_factory=Geodesic)
+    inertia_lower: Sequence[float] = (12.0, 12.0, 12.0, 0.2)
+    start_gain: float = 1.0
+    calibration_s: float = 14.0
+    window_s: float = 0.5
+    stride_s: float = 0.25
+    residual_floor: float = 0.15
+    updates: int = 4
+    actor_sign: str = "corrected"
+    tolerance_weights: float = 1e-3
+    tolerance_inverse_capacity: float = 1e-4
+    max_time_s: float = 600.0
 
     @property
     def sign(self) -> float:

@@ -18,6 +18,7 @@ from uwirl.motion.features import MotionBasis
 from uwirl.motion.linear_agent import LinkController
 from uwirl.motion.mission import Mission
 from uwirl.motion.recorder import Recorder, Window
+from uwirl.motion.safety import EnergyGuard
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.world.agent import Agent
 from uwirl.world.relay import Relay
@@ -82,6 +83,7 @@ class Learning:
 
     def __init__(self, planner: IrlPlanner, env: Relay, estimate: ChannelEstimate):
         self.planner, self.env = planner, env
+        self.guard = planner.guard or EnergyGuard.of(env)
         self.mission = Mission(env, estimate.channel, planner.cost)
         self.learners = planner.experience.learners(env)
         # One row a learner, as segments have them; hops are equal, so that one learner serves all vehicles.
@@ -109,7 +111,7 @@ class Learning:
         # Weights are float64 whatever the environment's dtype.
         start = weights.to(device, copy=True)
         hovering = self.basis.hovering(start)
-        hover, trim = calibration_hover(self.env, hovering, self.mission.cost, planner.calibration_s, planner.guard)
+        hover, trim = calibration_hover(self.env, hovering, self.mission.cost, planner.calibration_s, self.guard)
         trim = trim.mean(0, keepdim=True) if self.learners == 1 else trim
         critic = LinearCritic(self.basis, self.learners).to(device)
         learner = self.iteration.init(start, critic.weight)
@@ -119,7 +121,7 @@ class Learning:
     def fly(self, state: LearningState) -> tuple[Leg, LearningState]:
         """The next leg, with the newest weights, and the state after it, which has not learned from it yet."""
         actor = LinearActor(self.basis, state.learner.actor)
-        leg = self.planner.experience.fly(self.env, state.flight, actor, self._recorder(state), self.planner.guard)
+        leg = self.planner.experience.fly(self.env, state.flight, actor, self._recorder(state), self.guard)
         contacts = state.contacts + leg.contacts
         return leg, state._replace(flight=leg.after, seconds=state.seconds + leg.seconds, contacts=contacts)
 

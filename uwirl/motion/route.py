@@ -79,7 +79,7 @@ class MapSettings:
         hard_clearance_m: closer to an obstacle w is that of its inside, m.
     """
 
-    spacing_m: float
+    spacing_m: float = 0.5
     exponent: float = 0.75
     hard_clearance_m: float = 0.25
 

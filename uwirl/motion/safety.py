@@ -18,13 +18,14 @@ and how fast. Nothing of the dynamics is used but the bounds.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from uwirl.world.geometry import turned_to_body
 from uwirl.world.observation import Observation
+from uwirl.world.relay import Relay
 
 PROJECTIONS = 3
 # Time in which a full brake would have a lost h back, in steps.
@@ -59,29 +60,34 @@ def nothing_near(observation: Observation) -> bool:
 
 @dataclass(frozen=True)
 class EnergyGuard:
-    """safety=energy.
+    """safety=energy; the defaults suit a BlueROV2.
 
     Attributes:
+        tau_max: thruster limits, [4].
+        dt: time for which a control is held, s.
+        vehicle_radius: m.
         margin_m: clearance to keep from obstacles, m.
         separation_m: distance to keep between the centres of vehicles, m.
         alpha: how fast h may fall, 1/s.
         mass_upper_kg: m_bar, at least the inertia in surge and sway, and in heave where there are several vehicles, kg.
         mass_lower_kg: m_lo, at most that inertia, kg.
         brake_force_N: tau_b, at most the thrust on these axes less any disturbance, N.
-        tau_max: thruster limits, [4].
-        dt: time for which a control is held, s.
-        vehicle_radius: m.
     """
 
-    margin_m: float
-    separation_m: float
-    alpha: float
-    mass_upper_kg: float
-    mass_lower_kg: float
-    brake_force_N: float
     tau_max: Tensor
     dt: float
     vehicle_radius: float
+    margin_m: float = 0.1
+    separation_m: float = 1.0
+    alpha: float = 2.0
+    mass_upper_kg: float = 30.0
+    mass_lower_kg: float = 12.0
+    brake_force_N: float = 80.0
+
+    @classmethod
+    def of(cls, env: Relay, **settings: Any) -> EnergyGuard:
+        """Of an environment's vehicles."""
+        return cls(env.vehicle.tau_max, env.scenario.dt, env.scenario.vehicle_radius, **settings)
 
     def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
         """tau [B, M, 4], with its forces changed as little as safety asks for."""

@@ -99,10 +99,10 @@ class Evaluator:
         guard: between agent and thrusters.
     """
 
-    def __init__(self, env: Relay, weights: CostWeights, guard: Guard = unguarded):
+    def __init__(self, env: Relay, weights: CostWeights | None = None, guard: Guard = unguarded):
         self.env, self.guard = env, guard
         self.truth = truth_of(env)
-        self.mission = Mission(env, self.truth.channel, weights)
+        self.mission = Mission(env, self.truth.channel, weights or CostWeights())
 
     def in_worlds(self, env: Relay) -> Evaluator:
         """The same for other worlds."""

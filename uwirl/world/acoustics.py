@@ -81,6 +81,11 @@ class Channel:
     varphi_m: float | Tensor = math.inf
     rho_dB: float | Tensor = 0.0
 
+    @classmethod
+    def paper(cls) -> Channel:
+        """channel=paper: the constants that reproduce the capacities which the paper reports."""
+        return cls(LinkBudget(N0_dB=-160.0, bandwidth_khz=10.0), -60.0, 5.0, zeta_dB=0.07, varphi_m=3.51, rho_dB=0.2864)
+
     def mean_snr_dB(self, distance_m: Tensor) -> Tensor:
         """Path-loss SNR of (6), dB, same shape as the distance in m."""
         # Estimates are float64 whatever the environment's dtype.

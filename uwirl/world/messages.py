@@ -38,7 +38,8 @@ class Messages(NamedTuple):
 
 def told_to_all(values: Tensor) -> Tensor:
     """Values [..., M, k] of each vehicle as all of them receive these, [..., M, M, k], a view."""
-    return values[..., None, :, :].expand(*values.shape[:-1], *values.shape[-2:])
+    spread = values.unsqueeze(-3)
+    return spread if spread.shape[-2] == 1 else spread.expand(*values.shape[:-1], *values.shape[-2:])
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from uwirl.world.obstacles import Obstacles
 from uwirl.world.random import RandomStreams
 from uwirl.world.scenario import Scenario
 from uwirl.world.truth import Truth
-from uwirl.world.vehicle import Dynamics, VehicleState
+from uwirl.world.vehicle import Dynamics, Vehicle, VehicleState
 
 
 class DivergedError(RuntimeError):
@@ -100,17 +100,25 @@ class Relay:
 
     Args:
         scenario: nodes, vehicles, sensors, time.
-        vehicle: dynamics of every vehicle.
-        channel: the true channel, which nothing in the water sees but through readings (`uwirl.world.truth`).
-        streams: the worlds' random numbers; their number is B.
+        vehicle: dynamics of every vehicle; a BlueROV2 if None.
+        channel: the true channel, which nothing in the water sees but through readings (`uwirl.world.truth`); the
+            paper's if None.
+        streams: the worlds' random numbers; their number is B. One world of seed 0 if None.
     """
 
-    def __init__(self, scenario: Scenario, vehicle: Dynamics, channel: Channel, streams: RandomStreams):
+    def __init__(
+        self,
+        scenario: Scenario,
+        vehicle: Dynamics | None = None,
+        channel: Channel | None = None,
+        streams: RandomStreams | None = None,
+    ):
         self.scenario = scenario
-        self.vehicle = vehicle
-        self.streams = streams
-        self._truth = Truth(channel, scenario.source, scenario.destination, streams)
-        self._water = None if scenario.current.is_still else scenario.current.realise(streams)
+        self.vehicle: Dynamics = Vehicle.bluerov2() if vehicle is None else vehicle
+        self.streams = streams or RandomStreams.worlds(0, 1, scenario.source.device)
+        self._truth = Truth(channel or Channel.paper(), scenario.source, scenario.destination, self.streams)
+        self._map: tuple[Obstacles, Obstacles] | None = None
+        self._water = None if scenario.current.is_still else scenario.current.realise(self.streams)
 
     @property
     def worlds(self) -> int:
@@ -167,7 +175,9 @@ class Relay:
         x, step = state.components, state.step
         time = step.double() * scenario.dt
         eta, nu = x[:4].movedim(0, -1), x[4:].movedim(0, -1)
-        contact = (x[2] >= 0.0).to(torch.int8) - (x[2] <= -scenario.depth).to(torch.int8)
+        # 1 and -1 at the ends alone: a vehicle's depth is confined to them.
+        middle = 0.5 * scenario.depth
+        contact = x[2].add(middle).div_(middle).trunc_().to(torch.int8)
         if not scenario.navigation.is_exact:
             error = scenario.navigation.error(self.streams, step, time, x.shape[2]).to(x.dtype)
             eta, nu = eta + error[..., :4], nu + error[..., 4:]
@@ -206,8 +216,9 @@ class Relay:
             if not (isinstance(action, tuple) and len(action) == 2):
                 raise ValueError(f"{type(agent).__name__}.act must return (tau, carry), got {type(action).__name__}")
             command, carry = self._command(action[0], state, agent), action[1]
-            self._advance(state, command, components[k + 1])
-            state = WorldState(components[k + 1], state.step + 1, _said(carry, state.target))
+            after = components[k + 1]
+            self._advance(state, command, after)
+            state = WorldState(after, state.step + 1, _said(carry, state.target))
             tau[k] = command.movedim(-1, 0)
             if k + 1 < steps:
                 observation = self.observe(state)
@@ -234,14 +245,17 @@ class Relay:
         # Surface and floor stop a vehicle's centre.
         z, w = out[2], out[6]
         inside = z.clamp(-scenario.depth, 0.0)
-        w.masked_fill_((inside != z) & (w * z.sub(inside) > 0.0), 0.0)
+        w.masked_fill_(w * z.sub(inside) > 0.0, 0.0)
         z.copy_(inside)
 
     def _detected(self, x: Tensor, time: Tensor) -> Obstacles:
         """Obstacles that each vehicle detects where it is, fields [B, M, O(, 2)]."""
         scenario, (B, M) = self.scenario, x.shape[1:]
         everywhere = scenario.obstacles
-        known = everywhere.each(lambda field: _for_each(field, everywhere, B, M))
+        # A view that stays the same from step to step is made once.
+        if self._map is None or self._map[0] is not everywhere or self._map[1].radius.shape[:2] != (B, M):
+            self._map = everywhere, _for_each_vehicle(everywhere, B, M)
+        known = self._map[1]
         if scenario.detection_range == torch.inf or everywhere.number == 0:
             return known
         gap = everywhere.clearance(x[:3].movedim(0, -1), scenario.vehicle_radius, time)
@@ -250,16 +264,19 @@ class Relay:
         return hidden._replace(present=detected)
 
     def _messages(self, state: WorldState, eta: Tensor, nu: Tensor) -> Messages:
-        scenario, (B, M) = self.scenario, state.components.shape[1:]
-        snr = eta.new_empty((B, M, 3, 0), dtype=torch.float64)
-        every = round(scenario.message_period / scenario.dt)
-        if scenario.streaming and bool((state.step % every == 0).any()):
-            position = state.vehicles.position
-            heard = [
-                snr_heard(scenario, self._truth, self.streams, position[:, i], i, state.step // every) for i in range(M)
-            ]
-            snr = torch.where((state.step % every == 0)[:, None, None, None], torch.stack(heard, 1), torch.nan)
+        snr = self._snr(state) if self.scenario.streaming else _nothing_heard(eta)
         return Messages(told_to_all(eta), told_to_all(nu), told_to_all(state.target), snr)
+
+    def _snr(self, state: WorldState) -> Tensor:
+        """Readings of this step's messages, [B, M, 3, N], or [B, M, 3, 0] where no world sends one."""
+        scenario, M = self.scenario, self.scenario.vehicles
+        every = round(scenario.message_period / scenario.dt)
+        sends = state.step % every == 0
+        if not bool(sends.any()):
+            return _nothing_heard(state.target)
+        position, number = state.vehicles.position, state.step // every
+        heard = [snr_heard(scenario, self._truth, self.streams, position[:, i], i, number) for i in range(M)]
+        return torch.where(sends[:, None, None, None], torch.stack(heard, 1), torch.nan)
 
     @staticmethod
     def _check_finite(trajectory: Trajectory) -> None:
@@ -278,11 +295,20 @@ def _said(carry: Any, before: Tensor) -> Tensor:
     return before if target is None else target.to(before.dtype)
 
 
-def _for_each(field: Tensor, everywhere: Obstacles, worlds: int, vehicles: int) -> Tensor:
-    """A field of obstacles, [O(, 2)] or [B, O(, 2)], as a view for each vehicle of each world, [B, M, O(, 2)]."""
+def _for_each_vehicle(everywhere: Obstacles, worlds: int, vehicles: int) -> Obstacles:
+    """Obstacles [O(, 2)] or [B, O(, 2)] as a view for each vehicle of each world, [B, M, O(, 2)]."""
     shared = everywhere.radius.ndim == 1
-    trailing = field.shape if shared else field.shape[1:]
-    return (field if shared else field[:, None]).expand(worlds, vehicles, *trailing)
+
+    def view(field: Tensor) -> Tensor:
+        trailing = field.shape if shared else field.shape[1:]
+        return (field if shared else field[:, None]).expand(worlds, vehicles, *trailing)
+
+    return everywhere.each(view)
+
+
+def _nothing_heard(like: Tensor) -> Tensor:
+    """[B, M, 3, 0], for values [B, M, k]."""
+    return like.new_empty((*like.shape[:2], 3, 0), dtype=torch.float64)
 
 
 def _like(mask: Tensor, field: Tensor) -> Tensor:

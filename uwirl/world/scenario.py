@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from uwirl.world.current import Current
 from uwirl.world.navigation import Navigation
-from uwirl.world.obstacles import Obstacles
+from uwirl.world.obstacles import Obstacles, no_obstacles
 from uwirl.world.random import RandomStreams, Stream
 
 
@@ -41,20 +43,44 @@ class Scenario:
     destination: Tensor
     start: Tensor
     sensors: Tensor
-    obstacles: Obstacles
-    current: Current
-    depth: float
-    hearing_range: float
-    detection_range: float
-    vehicle_radius: float
-    dt: float
-    message_period: float
-    duration: float
+    obstacles: Obstacles = field(default_factory=no_obstacles)
+    current: Current = field(default_factory=Current.still)
+    depth: float = 20.0
+    hearing_range: float = math.inf
+    detection_range: float = math.inf
+    vehicle_radius: float = 0.3
+    dt: float = 0.05
+    message_period: float = 0.5
+    duration: float = 80.0
     navigation: Navigation = field(default_factory=Navigation)
     streaming: bool = False
 
+    @classmethod
+    def between(
+        cls,
+        source: Sequence[float],
+        destination: Sequence[float],
+        starts: Sequence[Sequence[float]],
+        sensors: int = 16,
+        seed: int = 0,
+        **others: Any,
+    ) -> Scenario:
+        """From plain numbers.
+
+        Args:
+            source, destination: x, y, z of the nodes, m.
+            starts: x, y, z (m) and psi (rad) of each vehicle.
+            sensors: how many, spread by the seed.
+            seed: of that spread.
+            others: any other attribute.
+        """
+        places = (torch.tensor(list(place), dtype=torch.float64) for place in (source, destination))
+        start = torch.tensor([list(eta) for eta in starts], dtype=torch.float64)
+        return cls(*places, start, spread_sensors(sensors, seed, source, destination, torch.float64), **others)
+
     @property
     def vehicles(self) -> int:
+        """M."""
         return self.start.shape[-2]
 
     def clearance(self, position: Tensor, time: Tensor | float = 0.0) -> Tensor:

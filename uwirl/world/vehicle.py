@@ -145,6 +145,23 @@ class Vehicle(nn.Module):
         self.register_buffer("restoring", constant([0.0, 0.0, weight_N - buoyancy_N, 0.0]))
         self.register_buffer("tau_max", constant(tau_max))
 
+    @classmethod
+    def bluerov2(cls, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> Vehicle:
+        """vehicle=bluerov2: C.-J. Wu, "6-DoF Modelling and Control of a Remotely Operated Vehicle", MEng thesis,
+        Flinders University, 2018."""
+        return cls(
+            mass_kg=11.5,
+            yaw_inertia=0.16,
+            added_mass=[5.5, 12.7, 14.57, 0.12],
+            linear_damping=[4.03, 6.22, 5.18, 0.07],
+            quadratic_damping=[18.18, 21.66, 36.99, 1.55],
+            weight_N=112.8,
+            buoyancy_N=114.8,
+            tau_max=[85.0, 85.0, 120.0, 26.0],
+            dtype=dtype,
+            device=device,
+        )
+
     @property
     def trim(self) -> Tensor:
         """The tau that holds the vehicle at rest, [4]."""
@@ -152,7 +169,7 @@ class Vehicle(nn.Module):
 
     def saturate(self, tau: Tensor) -> Tensor:
         """tau [..., 4] within the thruster limits."""
-        return torch.maximum(torch.minimum(tau, self.tau_max), -self.tau_max)
+        return torch.clamp(tau, -self.tau_max, self.tau_max)
 
     def inertia_matrix(self) -> Tensor:
         """M, [4, 4]."""
@@ -195,13 +212,14 @@ class Vehicle(nn.Module):
         nu_dot = [d / m for d, m in zip(drive, self.inertia, strict=True)]
         return [torch.addcmul(c * u, s, v, value=-1.0), torch.addcmul(s * u, c, v), w, r, *nu_dot]
 
-    def rk4(self, x: Tensor, tau: Tensor, dt: float) -> Tensor:
+    def rk4(self, x: Tensor, tau: Tensor, dt: float, out: Tensor | None = None) -> Tensor:
         """One classical Runge-Kutta step with tau held.
 
         Args:
             x: [8, ...].
             tau: [4, ...].
             dt: s.
+            out: where to write the result; a new tensor if None.
 
         Returns:
             x after dt, [8, ...].
@@ -212,14 +230,14 @@ class Vehicle(nn.Module):
             return self.derivative(psi, nu, force)
 
         start = x.unbind(0)
-        force = [t - g for t, g in zip(tau.unbind(0), self.restoring, strict=True)]
+        force = (tau - self.restoring.view(-1, *[1] * (tau.ndim - 1))).unbind(0)
         k1 = self.derivative(start[3], start[4:], force)
         k2 = slope(k1, dt / 2)
         k3 = slope(k2, dt / 2)
         k4 = slope(k3, dt)
         stages = zip(start, k1, k2, k3, k4, strict=True)
         return torch.stack(
-            [torch.add(x0, torch.add(a + d, b + c, alpha=2.0), alpha=dt / 6) for x0, a, b, c, d in stages]
+            [torch.add(x0, torch.add(a + d, b + c, alpha=2.0), alpha=dt / 6) for x0, a, b, c, d in stages], out=out
         )
 
     def drift(self, x: Tensor, tau: Tensor, dt: float, current: Tensor) -> Tensor:
@@ -265,12 +283,12 @@ class Vehicle(nn.Module):
             moved = self.drift(x, tau, dt, current.T[..., None])
             return VehicleState(moved if out is None else out.copy_(moved))
         chunks = -(-x[0].numel() // CHUNK)
-        if out is None and chunks == 1:
-            return VehicleState(self.rk4(x, tau, dt))
+        if chunks == 1:
+            return VehicleState(self.rk4(x, tau, dt, out))
         out = x.new_empty(x.shape) if out is None else out
         # A view, or an error: a silent copy of `out` would swallow what is written.
         flat = x.flatten(1), tau.flatten(1), out.view(8, -1)
         parts = (t.tensor_split(chunks, 1) for t in flat)
         for part_x, part_tau, part_out in zip(*parts, strict=True):
-            part_out.copy_(self.rk4(part_x, part_tau, dt))
+            self.rk4(part_x, part_tau, dt, part_out)
         return VehicleState(out)
