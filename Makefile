@@ -19,7 +19,7 @@ monitor: .venv/.installed
 	$(BIN)/tensorboard --logdir $(LOGDIR) --host localhost
 
 test: .venv/.installed
-	$(BIN)/python -m pytest -m 'not slow'
+	$(BIN)/python -m pytest -n auto --dist worksteal -m 'not slow'
 
 test-all: .venv/.installed
 	$(BIN)/python -m pytest

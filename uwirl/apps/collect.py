@@ -29,9 +29,9 @@ def main() -> None:
 
 def _collect(folder: Path) -> int:
     # Imported here so that a mistyped folder is answered before torch is loaded.
+    from uwirl.study.atomic_io import write_whole
     from uwirl.study.collection import collect
     from uwirl.study.collection_report import csv_table, markdown
-    from uwirl.study.whole_files import write_whole
 
     found = collect(folder)
     if not found.jobs and not found.incomplete:

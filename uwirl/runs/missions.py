@@ -18,10 +18,10 @@ from uwirl.runs import pictures
 from uwirl.runs.summary import table
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study import run_folder, shadowing
+from uwirl.study.atomic_io import write_arrays
 from uwirl.study.campaign import fly
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.tensorboard import TensorBoard
-from uwirl.study.whole_files import write_arrays
 from uwirl.world.agent import Agent
 from uwirl.world.relay import Relay
 

@@ -22,8 +22,8 @@ from uwirl.snr.log import Log, LogError, read_log
 from uwirl.snr.model import UnidentifiableError, observations
 from uwirl.snr.outliers import reject_outliers
 from uwirl.study import estimate_report, run_folder
+from uwirl.study.atomic_io import write_arrays
 from uwirl.study.snr_map import Grid, SnrMap, make_grid, make_map
-from uwirl.study.whole_files import write_arrays
 from uwirl.world.acoustics import LinkBudget
 from uwirl.world.messages import Readings
 

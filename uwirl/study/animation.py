@@ -17,8 +17,8 @@ from matplotlib.patches import Circle, Polygon
 from numpy.typing import NDArray
 from PIL import Image
 
+from uwirl.study.atomic_io import write_whole
 from uwirl.study.evaluation import Evaluation
-from uwirl.study.whole_files import write_whole
 from uwirl.world.scenario import Scenario
 
 # 680 x 850 pixels.

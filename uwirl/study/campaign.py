@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import torch
+from scipy import special
 from torch import Tensor
 
 from uwirl.study.evaluation import Evaluation, Evaluator
@@ -159,22 +160,7 @@ def upper_bound(failures: int, trials: int) -> float:
     """Clopper-Pearson: the rate at which so few failures or fewer would be seen in 5 % of cases; nan of no trials."""
     if trials == 0:
         return math.nan
-    if failures == trials:
-        return 1.0
-
-    def at_most(p: float) -> float:
-        return sum(
-            math.exp(math.lgamma(trials + 1) - math.lgamma(k + 1) - math.lgamma(trials - k + 1))
-            * p**k
-            * (1.0 - p) ** (trials - k)
-            for k in range(failures + 1)
-        )
-
-    low, high = 0.0, 1.0
-    for _ in range(60):
-        middle = (low + high) / 2.0
-        low, high = (middle, high) if at_most(middle) > 1.0 - CONFIDENCE else (low, middle)
-    return high
+    return 1.0 if failures == trials else float(special.betaincinv(failures + 1, trials - failures, CONFIDENCE))
 
 
 def _share(flags: Tensor) -> float | None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from uwirl.study.whole_files import read_whole, write_whole
+from uwirl.study.atomic_io import read_whole, write_whole
 
 FORMAT_VERSION = 3
 # A checkpoint of a few vehicles takes 0.1 MB, its digests 80 bytes each.

@@ -12,8 +12,8 @@ matplotlib.use("Agg")
 
 from matplotlib.figure import Figure
 
+from uwirl.study.atomic_io import write_figure
 from uwirl.study.collection import MAIN, Collection, Job, as_number, numbers, told
-from uwirl.study.whole_files import write_figure
 
 COLUMNS = 3
 # Far more than can be told apart; as many as 10,000 would take minutes, and more pixels than an image may have.

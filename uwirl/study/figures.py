@@ -20,9 +20,9 @@ from matplotlib.figure import Figure
 
 from uwirl.motion.features import AXES, MotionBasis
 from uwirl.motion.learning import IterationRecord
+from uwirl.study.atomic_io import write_figure
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import LinksAtMessages
-from uwirl.study.whole_files import write_figure
 from uwirl.world.layouts import KINDS
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario

@@ -20,9 +20,9 @@ from uwirl.config.estimate_schema import EstimateConfig
 from uwirl.config.overrides import FREE
 from uwirl.config.schema import Config
 from uwirl.snr.estimate import NAMES, ChannelEstimate
+from uwirl.study.atomic_io import read_whole, write_arrays, write_whole
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import LinksAtMessages
-from uwirl.study.whole_files import read_whole, write_arrays, write_whole
 
 log = logging.getLogger("uwirl")
 

@@ -74,9 +74,9 @@ class Scenario:
             seed: of that spread.
             others: any other attribute.
         """
-        places = (torch.tensor(list(place), dtype=torch.float64) for place in (source, destination))
+        first, last = (torch.tensor(list(place), dtype=torch.float64) for place in (source, destination))
         start = torch.tensor([list(eta) for eta in starts], dtype=torch.float64)
-        return cls(*places, start, spread_sensors(sensors, seed, source, destination, torch.float64), **others)
+        return cls(first, last, start, spread_sensors(sensors, seed, source, destination, torch.float64), **others)
 
     @property
     def vehicles(self) -> int:
