@@ -33,7 +33,7 @@ from uwirl.config.compose import compose
 from uwirl.snr.estimators import maximum_likelihood
 from uwirl.snr.kriging import Kriging
 from uwirl.snr.likelihood import ordinary
-from uwirl.world.messages import Readings
+from uwirl.world.readings import Readings
 from uwirl.snr.model import observations
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import exact_shadowing

@@ -29,7 +29,7 @@ from uwirl.motion.guidance import GeodesicPolicy
 from uwirl.motion.route import BATCH
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import oracle
-from uwirl.world.messages import take_readings
+from uwirl.world.readings import take_readings
 from uwirl.world.layouts import draw_layouts
 from uwirl.world.random import RandomStreams
 from uwirl.world.relay import Relay

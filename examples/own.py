@@ -13,7 +13,7 @@ from uwirl.motion.features import LinkFrameBasis
 from uwirl.motion.policy import Policy
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimate import ChannelEstimate
-from uwirl.world.messages import Readings
+from uwirl.world.readings import Readings
 from uwirl.world.acoustics import Channel
 from uwirl.world.relay import Relay
 from uwirl.world.vehicle import Vehicle, VehicleState

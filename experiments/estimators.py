@@ -26,7 +26,7 @@ from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.snr.estimators import ESTIMATORS
 from uwirl.snr.information import cramer_rao_bound
 from uwirl.snr.intervals import intervals
-from uwirl.world.messages import Readings
+from uwirl.world.readings import Readings
 from uwirl.snr.model import Fading, observations
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import exact_shadowing

@@ -25,12 +25,13 @@ if TYPE_CHECKING:
     from uwirl.study.evaluation import Evaluation, Evaluator
     from uwirl.world.acoustics import Channel, LinkBudget
     from uwirl.world.agent import Agent, Feedback, Guarded
-    from uwirl.world.messages import Readings, take_readings
     from uwirl.world.observation import Observation
     from uwirl.world.obstacles import Obstacles
     from uwirl.world.random import RandomStreams
-    from uwirl.world.relay import Relay, Trajectory, WorldState
+    from uwirl.world.readings import Readings, take_readings
+    from uwirl.world.relay import Relay
     from uwirl.world.scenario import Scenario
+    from uwirl.world.trajectory import Trajectory, WorldState
     from uwirl.world.vehicle import Vehicle
 
 __version__ = "0.1.0"
@@ -49,11 +50,12 @@ _HOMES = {
     "study.evaluation": ["Evaluation", "Evaluator"],
     "world.acoustics": ["Channel", "LinkBudget"],
     "world.agent": ["Agent", "Feedback", "Guarded"],
-    "world.messages": ["Readings", "take_readings"],
+    "world.readings": ["Readings", "take_readings"],
     "world.observation": ["Observation"],
     "world.obstacles": ["Obstacles"],
     "world.random": ["RandomStreams"],
-    "world.relay": ["Relay", "Trajectory", "WorldState"],
+    "world.relay": ["Relay"],
+    "world.trajectory": ["Trajectory", "WorldState"],
     "world.scenario": ["Scenario"],
     "world.vehicle": ["Vehicle"],
 }

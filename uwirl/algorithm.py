@@ -18,7 +18,7 @@ from uwirl.motion.planner import Planner
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.estimators import Estimator
 from uwirl.world.agent import Agent
-from uwirl.world.messages import Readings, readings_of_each_vehicle
+from uwirl.world.readings import Readings, readings_of_each_vehicle
 from uwirl.world.relay import Relay
 
 

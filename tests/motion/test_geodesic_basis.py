@@ -11,7 +11,7 @@ from uwirl.motion.geodesic_basis import WayState
 from uwirl.motion.policy import LinkFramePolicy
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import oracle
-from uwirl.world.messages import take_readings
+from uwirl.world.readings import take_readings
 from uwirl.world.vehicle import VehicleState
 
 OVERRIDES = ("experiment=fig5_single", "basis=geodesic", "experience=parallel")

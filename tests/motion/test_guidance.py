@@ -9,7 +9,7 @@ from uwirl import build
 from uwirl.motion.route import MapSettings, Router
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import oracle
-from uwirl.world.messages import take_readings
+from uwirl.world.readings import take_readings
 from uwirl.study.evaluation import evaluate
 
 

@@ -12,11 +12,11 @@ from uwirl.motion.baselines.guesses import guess_along, guess_from
 from uwirl.motion.baselines.trajectory_optimization import PlanPolicy, TrajectoryOptimization, optimise
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import oracle
-from uwirl.world.messages import take_readings
+from uwirl.world.readings import take_readings
 from uwirl.study.evaluation import evaluate
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.random import RandomStreams
-from uwirl.world.relay import Trajectory
+from uwirl.world.trajectory import Trajectory
 from uwirl.world.vehicle import VehicleState
 
 # eta at rest, and J of the same cost in free water from an optimiser written independently; the last is the paper's.

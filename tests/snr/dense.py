@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwirl.world.messages import Readings
+from uwirl.world.readings import Readings
 from uwirl.snr.model import Geometry, observations
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import exact_shadowing

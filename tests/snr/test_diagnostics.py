@@ -12,7 +12,7 @@ from scipy import stats
 from uwirl.snr.diagnostics import diagnose
 from uwirl.snr.intervals import student_t
 from uwirl.snr.kriging import Kriging
-from uwirl.world.messages import Readings
+from uwirl.world.readings import Readings
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import exact_shadowing
 

@@ -23,7 +23,7 @@ from uwirl.snr.estimators import (
     separate,
 )
 from uwirl.snr.likelihood import DECREMENT
-from uwirl.world.messages import Readings, take_readings
+from uwirl.world.readings import Readings, take_readings
 from uwirl.snr.model import UnidentifiableError
 from uwirl.snr.moments import moment_fit
 from uwirl.world.acoustics import Channel

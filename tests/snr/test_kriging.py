@@ -16,7 +16,7 @@ from torch import Tensor
 from uwirl.snr import kriging
 from uwirl.snr.estimators import maximum_likelihood
 from uwirl.snr.kriging import Kriging
-from uwirl.world.messages import Readings, take_readings
+from uwirl.world.readings import Readings, take_readings
 from uwirl.world.acoustics import Channel
 from uwirl.world.scenario import spread_sensors
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from uwirl import build
 from uwirl.config.own_schema import values
-from uwirl.world.messages import Readings, take_readings
+from uwirl.world.readings import Readings, take_readings
 from uwirl.world.random import RandomStreams
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import spread_sensors

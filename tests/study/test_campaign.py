@@ -12,7 +12,7 @@ from uwirl.config import world_rules
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.runs.layouts import campaign
 from uwirl.snr.estimators import oracle
-from uwirl.world.messages import take_readings
+from uwirl.world.readings import take_readings
 from uwirl.study.campaign import Outcomes, fly, upper_bound
 from uwirl.study.evaluation import evaluate
 from uwirl.world.layouts import KINDS

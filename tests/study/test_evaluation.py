@@ -6,7 +6,7 @@ import torch
 from uwirl import build
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.study.evaluation import Evaluation, evaluate
-from uwirl.world.relay import Trajectory
+from uwirl.world.trajectory import Trajectory
 from uwirl.world.vehicle import VehicleState
 
 

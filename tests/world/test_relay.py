@@ -14,7 +14,8 @@ from uwirl import build
 from uwirl.config.own_schema import values
 from uwirl.world.current import Current
 from uwirl.world.random import RandomStreams, Stream
-from uwirl.world.relay import DivergedError, Relay
+from uwirl.world.relay import Relay
+from uwirl.world.trajectory import DivergedError
 from uwirl.world.scenario import spread_sensors
 from uwirl.world.vehicle import Vehicle, VehicleState
 

@@ -14,7 +14,8 @@ from uwirl.motion.route import MapSettings, Router
 from uwirl.motion.route_tracker import RouteTracker
 from uwirl.motion.targets import ChainTargets
 from uwirl.world.geometry import rotation_matrix, wrapped
-from uwirl.world.relay import Relay, Trajectory
+from uwirl.world.relay import Relay
+from uwirl.world.trajectory import Trajectory
 from uwirl.world.vehicle import Vehicle
 
 CORNER_S = 2.5  # over which a guess rounds the corners of its path

@@ -10,7 +10,8 @@ from uwirl.motion.cost import RelayCost
 from uwirl.motion.linear_agent import LinkController
 from uwirl.motion.link_frame import LinkFrame
 from uwirl.world.agent import Guard, Guarded
-from uwirl.world.relay import Relay, Trajectory
+from uwirl.world.relay import Relay
+from uwirl.world.trajectory import Trajectory
 
 
 def calibration_hover(

@@ -26,8 +26,9 @@ from uwirl.motion.recorder import Recorder
 from uwirl.world.agent import Guard, Guarded
 from uwirl.world.obstacles import contacts
 from uwirl.world.random import RandomStreams
-from uwirl.world.relay import Relay, Trajectory, WorldState
+from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario
+from uwirl.world.trajectory import Trajectory, WorldState
 
 # A mission's links are longer than what is drawn by no more than this, and starts no farther, m/m.
 BEYOND = 1.05

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from uwirl.irl.solvers import Bounds
 from uwirl.motion.calibration import calibration_hover
 from uwirl.motion.experience import FlightState, Leg, contacts_while
 from uwirl.motion.features import MotionBasis
+from uwirl.motion.irl_settings import IrlSettings
 from uwirl.motion.linear_agent import LinkController
 from uwirl.motion.mission import Mission
 from uwirl.motion.recorder import Recorder, Window
@@ -22,9 +23,6 @@ from uwirl.motion.safety import EnergyGuard
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.world.agent import Agent
 from uwirl.world.relay import Relay
-
-if TYPE_CHECKING:
-    from uwirl.motion.irl_planner import IrlPlanner
 
 
 class LearningState(NamedTuple):
@@ -81,7 +79,7 @@ class Learning:
         estimate: the channel to count on.
     """
 
-    def __init__(self, planner: IrlPlanner, env: Relay, estimate: ChannelEstimate):
+    def __init__(self, planner: IrlSettings, env: Relay, estimate: ChannelEstimate):
         self.planner, self.env = planner, env
         self.guard = planner.guard or EnergyGuard.of(env)
         self.mission = Mission(env, estimate.channel, planner.cost)

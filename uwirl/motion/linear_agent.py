@@ -10,7 +10,7 @@ from torch import Tensor
 from uwirl.irl.networks import LinearActor
 from uwirl.motion.link_frame import LinkFrame
 from uwirl.world.observation import Observation
-from uwirl.world.relay import Trajectory
+from uwirl.world.trajectory import Trajectory
 from uwirl.world.vehicle import Moving
 
 

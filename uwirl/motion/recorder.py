@@ -9,7 +9,7 @@ from torch import Tensor
 from uwirl.irl.bellman import BellmanOperator, Segment
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.features import MotionBasis
-from uwirl.world.relay import Trajectory
+from uwirl.world.trajectory import Trajectory
 
 
 @dataclass(frozen=True)

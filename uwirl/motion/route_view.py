@@ -20,7 +20,8 @@ from uwirl.motion.way_law import WayLaw
 from uwirl.world.geometry import to_body, to_inertial
 from uwirl.world.messages import told_to_all
 from uwirl.world.observation import Observation
-from uwirl.world.relay import Relay, Trajectory
+from uwirl.world.relay import Relay
+from uwirl.world.trajectory import Trajectory
 from uwirl.world.vehicle import Moving, VehicleState
 
 

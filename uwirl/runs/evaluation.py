@@ -18,7 +18,7 @@ from uwirl.runs.missions import MissionFlight, campaign
 from uwirl.runs.recorded import recorded
 from uwirl.study import checkpoint, run_folder
 from uwirl.study.learning_file import load, take_estimate, take_trim, take_weights
-from uwirl.world.messages import readings_of_each_vehicle
+from uwirl.world.readings import readings_of_each_vehicle
 
 
 def run(config: Config, experiment: str, folder: Path, path: Path) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import LinksAtMessages
 from uwirl.study.snr_map import SnrMap
-from uwirl.world.messages import Readings
+from uwirl.world.readings import Readings
 from uwirl.world.relay import Relay
 
 log = logging.getLogger("uwirl")

@@ -18,7 +18,7 @@ from uwirl.runs.interruption import Interrupted, Interruption
 from uwirl.snr.model import UnidentifiableError
 from uwirl.study import run_folder
 from uwirl.study.checkpoint import CheckpointError
-from uwirl.world.relay import DivergedError
+from uwirl.world.trajectory import DivergedError
 
 log = logging.getLogger("uwirl")
 

@@ -25,7 +25,7 @@ from uwirl.study import estimate_report, run_folder
 from uwirl.study.atomic_io import write_arrays
 from uwirl.study.snr_map import Grid, SnrMap, make_grid, make_map
 from uwirl.world.acoustics import LinkBudget
-from uwirl.world.messages import Readings
+from uwirl.world.readings import Readings
 
 log = logging.getLogger("uwirl")
 

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from uwirl.world.acoustics import Channel
 from uwirl.world.geometry import distances
-from uwirl.world.messages import Readings
+from uwirl.world.readings import Readings
 
 BINS = 20
 # Pairs farther apart than this share of the longest distance are few and all alike.

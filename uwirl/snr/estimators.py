@@ -19,7 +19,7 @@ from uwirl.snr.likelihood import MAX_ENTRIES, ordinary
 from uwirl.snr.model import Fading, Geometry, Spectrum, generalized_least_squares, observations
 from uwirl.snr.moments import moment_fit
 from uwirl.world.acoustics import Channel, LinkBudget
-from uwirl.world.messages import Readings, readings_of_each_vehicle
+from uwirl.world.readings import Readings, readings_of_each_vehicle
 from uwirl.world.relay import Relay
 
 # Of a logarithm over all fading that the readings allow: beyond a factor of two either way nothing is identifiable.

@@ -17,7 +17,7 @@ from torch import Tensor
 from uwirl.snr.model import NOISELESS
 from uwirl.world.acoustics import Channel
 from uwirl.world.geometry import distances
-from uwirl.world.messages import Readings
+from uwirl.world.readings import Readings
 
 # Beyond, the covariance of the readings alone takes more than 0.8 GB, and its factor as much.
 MAX_READINGS = 10_000

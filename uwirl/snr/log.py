@@ -19,7 +19,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwirl.world.messages import Readings
+from uwirl.world.readings import Readings
 
 VEHICLE = ("vehicle_x_m", "vehicle_y_m", "vehicle_z_m")
 SENSOR = ("sensor_x_m", "sensor_y_m", "sensor_z_m")

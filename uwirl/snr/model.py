@@ -18,7 +18,7 @@ from torch import Tensor
 
 from uwirl.world.acoustics import LinkBudget
 from uwirl.world.geometry import distances
-from uwirl.world.messages import Readings
+from uwirl.world.readings import Readings
 
 # Power that counts as none, dB^2: logarithms and factorisations need some.
 NOISELESS = 1e-18

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from uwirl.world.acoustics import LinkBudget
-from uwirl.world.messages import Readings
+from uwirl.world.readings import Readings
 
 # Robust standard deviations beyond which a reading or a sensor is not believed; few of them make the scale uncertain.
 CUT, FEW = 4.0, 5.0

@@ -18,7 +18,7 @@ from uwirl.snr.diagnostics import Diagnostics
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.intervals import student_t
 from uwirl.study.snr_map import SnrMap
-from uwirl.world.messages import Readings
+from uwirl.world.readings import Readings
 
 # Told apart by the colour-blind (Okabe and Ito).
 BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "0.45"

@@ -13,7 +13,8 @@ from uwirl.motion.mission import Mission
 from uwirl.motion.safety import unguarded
 from uwirl.world.agent import Agent, Guard, Guarded
 from uwirl.world.obstacles import contacts
-from uwirl.world.relay import Relay, Trajectory, WorldState
+from uwirl.world.relay import Relay
+from uwirl.world.trajectory import Trajectory, WorldState
 from uwirl.world.truth import truth_of
 from uwirl.world.vehicle import VehicleState
 

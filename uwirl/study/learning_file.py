@@ -17,7 +17,7 @@ from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study import checkpoint
 from uwirl.study.checkpoint import CheckpointError
 from uwirl.world.acoustics import LinkBudget
-from uwirl.world.relay import WorldState
+from uwirl.world.trajectory import WorldState
 
 # Without these no run can have written it.
 NEEDED = ("config", "config_hash", "overrides", "estimate", "actor", "trim", "features", "iteration")

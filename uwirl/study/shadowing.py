@@ -11,8 +11,9 @@ from uwirl.motion.shadowed_targets import shadowed_targets
 from uwirl.motion.targets import ChainTargets
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.kriging import Kriging
-from uwirl.world.messages import Readings
-from uwirl.world.relay import Relay, Trajectory
+from uwirl.world.readings import Readings
+from uwirl.world.relay import Relay
+from uwirl.world.trajectory import Trajectory
 from uwirl.world.truth import truth_of
 
 # Of the map on which predictions are compared with the truth.

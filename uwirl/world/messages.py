@@ -1,9 +1,8 @@
-"""Acoustic messages: SNR readings of who heard whom and how well (eqs 9-10), and what vehicles tell each other."""
+"""Acoustic messages: what vehicles tell each other, and how well sensors hear them (eqs 9-10)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -11,10 +10,7 @@ from torch import Tensor
 from uwirl.world.geometry import distances
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.scenario import Scenario
-from uwirl.world.truth import Truth, truth_of
-
-if TYPE_CHECKING:
-    from uwirl.world.relay import Relay
+from uwirl.world.truth import Truth
 
 
 class Messages(NamedTuple):
@@ -40,30 +36,6 @@ def told_to_all(values: Tensor) -> Tensor:
     """Values [..., M, k] of each vehicle as all of them receive these, [..., M, M, k], a view."""
     spread = values.unsqueeze(-3)
     return spread if spread.shape[-2] == 1 else spread.expand(*values.shape[:-1], *values.shape[-2:])
-
-
-@dataclass(frozen=True)
-class Readings:
-    """What each of N sensors reads of each of S messages; B data sets may have been read at the same places.
-
-    Attributes:
-        transmitters: where the messages were sent, [S, 3], m.
-        receivers: the sensors, [N, 3], m.
-        snr: Y, [B, S, N], dB; nan where nothing was heard.
-    """
-
-    transmitters: Tensor
-    receivers: Tensor
-    snr: Tensor
-
-    @property
-    def distance(self) -> Tensor:
-        """[S, N], m."""
-        return distances(self.transmitters, self.receivers)
-
-    def select(self, rows: Tensor | slice) -> Readings:
-        """Some of the data sets."""
-        return replace(self, snr=self.snr[rows])
 
 
 def transmitters(scenario: Scenario, position: Tensor) -> Tensor:
@@ -101,25 +73,3 @@ def snr_heard(
     snr = truth.channel.mean_snr_dB(distance) + shadowing + truth.channel.rho_dB * multipath
     heard = distance <= scenario.hearing_range
     return torch.where(heard & heard[:, :1], snr, torch.nan)
-
-
-def take_readings(env: Relay, vehicle: int = 0, world: int = 0) -> Readings:
-    """Readings from the start of a mission, by the sensors that answered: one data set, [1, 3, N_i].
-
-    Args:
-        env: holds the sensors and the random numbers.
-        vehicle: who asks.
-        world: which one.
-    """
-    one = env.select(torch.tensor([world], device=env.streams.seed.device))
-    start = one.scenario.start if one.scenario.start.ndim == 2 else one.scenario.start[0]
-    position = start[vehicle, :3]
-    snr = snr_heard(one.scenario, truth_of(one), one.streams, position[None], vehicle, 0)
-    answering = ~snr[0, 0].isnan()
-    sensors = one.scenario.sensors.to(torch.float64)
-    return Readings(transmitters(one.scenario, position), sensors[answering], snr[..., answering])
-
-
-def readings_of_each_vehicle(env: Relay) -> list[Readings]:
-    """Of all vehicles in the first world, before anything moves."""
-    return [take_readings(env, vehicle) for vehicle in range(env.scenario.vehicles)]

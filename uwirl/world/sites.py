@@ -18,6 +18,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from uwirl.world.geometry import unit_vector
 from uwirl.world.obstacles import Obstacles
 
 # Random numbers that the cylinders of any kind need.
@@ -69,11 +70,6 @@ class Site:
         return self.origin[:, None] + fraction * self.way[:, None] + offset * left[:, None]
 
 
-def _unit(angle: Tensor) -> Tensor:
-    """[..., 2] of angles [...]."""
-    return torch.stack([torch.cos(angle), torch.sin(angle)], -1)
-
-
 def cylinders(
     centre: Tensor, radius: Tensor, present: Tensor | None = None, velocity: Tensor | None = None
 ) -> Obstacles:
@@ -94,7 +90,7 @@ def _overlapping(site: Site) -> Obstacles:
     radius = site.draw(1.0, 2.5, 2, 3)
     bearing = site.draw(0.0, 2.0 * math.pi, 2, 1) + torch.nn.functional.pad(site.draw(-0.75, 0.75, 2, 1), (1, 0))
     step = site.draw(0.45, 0.95, 2, 2) * (radius[..., 1:] + radius[..., :-1])
-    others = first + (step[..., None] * _unit(bearing)).cumsum(-2)
+    others = first + (step[..., None] * unit_vector(bearing)).cumsum(-2)
     present = torch.ones_like(radius, dtype=torch.bool)
     present[:, 1] = site.chance(1)
     present[:, :, 2] &= site.chance(2)
@@ -109,7 +105,7 @@ def _dead_end(site: Site) -> Obstacles:
     bearing = ahead + span * torch.linspace(-0.5, 0.5, count, dtype=span.dtype, device=span.device)
     # A little more than half their spacing along the arc, so that neighbours overlap.
     radius = 1.12 * arc * span / (count - 1) / 2.0 + site.draw(0.0, 0.1, count)
-    return cylinders(site.near_way(0.4, 0.65, 0.0, 1) + arc[..., None] * _unit(bearing), radius)
+    return cylinders(site.near_way(0.4, 0.65, 0.0, 1) + arc[..., None] * unit_vector(bearing), radius)
 
 
 def _ring(site: Site) -> Obstacles:
@@ -122,14 +118,14 @@ def _ring(site: Site) -> Obstacles:
     opening = torch.where(site.chance(1), torch.full_like(gap, 2.0 * math.pi / count), gap)
     spread = torch.linspace(0.0, 1.0, count, dtype=gap.dtype, device=gap.device)
     bearing = site.draw(0.0, 2.0 * math.pi, 1) + (2.0 * math.pi - opening) * spread
-    return cylinders(around[:, None] + arc[..., None] * _unit(bearing), radius.expand(-1, count))
+    return cylinders(around[:, None] + arc[..., None] * unit_vector(bearing), radius.expand(-1, count))
 
 
 def _moving(site: Site) -> Obstacles:
     most = 4
     present = torch.arange(most, device=site.numbers.device) < site.draw(1.0, most + 1, 1).floor()
     crossing = site.near_way(0.2, 0.8, 0.0, most)
-    velocity = site.draw(0.2, 0.5, most, 1) * _unit(site.draw(0.0, 2.0 * math.pi, most))
+    velocity = site.draw(0.2, 0.5, most, 1) * unit_vector(site.draw(0.0, 2.0 * math.pi, most))
     arrival = torch.linalg.vector_norm(crossing - site.origin[:, None], dim=-1, keepdim=True) / EXPECTED_SPEED
     centre = crossing - velocity * (arrival + site.draw(-6.0, 6.0, most, 1))
     return cylinders(centre, site.draw(0.8, 2.5, most), present, velocity)

@@ -7,7 +7,7 @@ readings and a link budget; `truth_of` is the only way here, and tests/test_floo
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -15,9 +15,6 @@ from torch import Tensor
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import Shadowing, ShadowingField
 from uwirl.world.random import RandomStreams
-
-if TYPE_CHECKING:
-    from uwirl.world.relay import Relay
 
 
 class Truth:
@@ -67,6 +64,12 @@ class Truth:
         return self.channel.capacity_kbps(snr)
 
 
-def truth_of(env: Relay) -> Truth:
+class _Water(Protocol):
+    """An environment, which is not imported here, since it holds a truth itself."""
+
+    _truth: Truth
+
+
+def truth_of(env: _Water) -> Truth:
     """The channel behind an environment."""
     return env._truth

@@ -1,0 +1,68 @@
+"""The settings of planner=irl."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from uwirl.irl.bellman import BellmanOperator
+from uwirl.irl.least_squares import Regularisation
+from uwirl.irl.solvers import Bounds, Solver, ZRecursiveLeastSquares
+from uwirl.motion.cost import CostWeights, RelayCost
+from uwirl.motion.experience import ExperienceSource, VirtualLinks
+from uwirl.motion.features import LinkFrameBasis, MotionBasis
+from uwirl.motion.guidance import Geodesic, Guidance
+from uwirl.world.agent import Guard
+
+
+def z_rls(operator: BellmanOperator, bounds: Bounds) -> Solver:
+    """solver=z_rls: exact and recursive, within bounds that keep the actor a damped convex potential."""
+    return ZRecursiveLeastSquares(operator, Regularisation(ridge=1e-7, prior=1e-3), bounds)
+
+
+@dataclass(frozen=True)
+class IrlSettings:
+    """The settings of learning; what is learned stands in the state of a `Learning`.
+
+    Attributes:
+        cost: weights of the running cost.
+        basis: features of critic and actor for a running cost.
+        solver: from the Bellman operator and the actor's bounds.
+        experience: where experience comes from.
+        guard: between policy and thrusters while learning; an EnergyGuard if None.
+        guidance: the mission's way to the target; virtual links are flown to straight.
+        inertia_lower: declared lower bound of each axis' inertia, kg, kg m^2: all the learner is told of the dynamics.
+        start_gain: scales the start policy.
+        calibration_s: duration of the calibration hover, s; it counts as vehicle time.
+        window_s: T of the integration windows, s.
+        stride_s: between the beginnings of two windows, s.
+        residual_floor: see Recorder.
+        updates: policy iterations after each leg.
+        actor_sign: "corrected", or "printed" as in the paper, which fails.
+        tolerance_weights: epsilon_3.
+        tolerance_inverse_capacity: epsilon_4, s/kbit.
+        max_time_s: T_max,2, of vehicle time, s.
+    """
+
+    cost: CostWeights = field(default_factory=CostWeights)
+    basis: Callable[[RelayCost], MotionBasis] = LinkFrameBasis
+    solver: Callable[[BellmanOperator, Bounds], Solver] = z_rls
+    experience: ExperienceSource = field(default_factory=VirtualLinks)
+    guard: Guard | None = None
+    guidance: Guidance = field(default_factory=Geodesic)
+    inertia_lower: Sequence[float] = (12.0, 12.0, 12.0, 0.2)
+    start_gain: float = 1.0
+    calibration_s: float = 14.0
+    window_s: float = 0.5
+    stride_s: float = 0.25
+    residual_floor: float = 0.15
+    updates: int = 4
+    actor_sign: str = "corrected"
+    tolerance_weights: float = 1e-3
+    tolerance_inverse_capacity: float = 1e-4
+    max_time_s: float = 600.0
+
+    @property
+    def sign(self) -> float:
+        """Of the actor's part in the Bellman equation."""
+        return -1.0 if self.actor_sign == "corrected" else 1.0
