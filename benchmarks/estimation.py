@@ -33,11 +33,11 @@ from uwirl.config.compose import compose
 from uwirl.snr.estimators import maximum_likelihood
 from uwirl.snr.kriging import Kriging
 from uwirl.snr.likelihood import ordinary
-from uwirl.world.readings import Readings
 from uwirl.snr.model import observations
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import exact_shadowing
 from uwirl.world.random import RandomStreams, Stream
+from uwirl.world.readings import Readings
 from uwirl.world.scenario import spread_sensors
 
 POINTS = 70, 50

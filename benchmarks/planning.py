@@ -29,9 +29,9 @@ from uwirl.motion.guidance import GeodesicPolicy
 from uwirl.motion.route import BATCH
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import oracle
-from uwirl.world.readings import take_readings
 from uwirl.world.layouts import draw_layouts
 from uwirl.world.random import RandomStreams
+from uwirl.world.readings import take_readings
 from uwirl.world.relay import Relay
 from uwirl.world.vehicle import VehicleState
 

@@ -8,13 +8,13 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from uwirl.motion.policy import Policy
 
 from uwirl.motion.features import LinkFrameBasis
-from uwirl.motion.policy import Policy
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimate import ChannelEstimate
-from uwirl.world.readings import Readings
 from uwirl.world.acoustics import Channel
+from uwirl.world.readings import Readings
 from uwirl.world.relay import Relay
 from uwirl.world.vehicle import Vehicle, VehicleState
 

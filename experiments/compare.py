@@ -21,13 +21,13 @@ from learning_curve import STARTS
 from omegaconf import DictConfig
 from results import leave
 from torch import Tensor
+from uwirl.motion.baselines.guesses import guess_from, guesses_on_the_map
+from uwirl.motion.baselines.trajectory_optimization import Plan, optimise
 
 from uwirl import build
 from uwirl.config.compose import compose
 from uwirl.config.schema import Config
 from uwirl.config.validate import validate
-from uwirl.motion.baselines.guesses import guess_from, guesses_on_the_map
-from uwirl.motion.baselines.trajectory_optimization import Plan, optimise
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.planner import LearningPlanner, Planner
 from uwirl.motion.targets import ChainTargets, mean_channel_targets

@@ -21,13 +21,13 @@ import hydra
 import torch
 from omegaconf import DictConfig
 from results import leave
+from uwirl.motion.policy import LinkFramePolicy, Policy
 
 from uwirl import build
 from uwirl.config.compose import compose
 from uwirl.config.schema import Config
 from uwirl.config.validate import validate
 from uwirl.motion.planner import LearningPlanner
-from uwirl.motion.policy import LinkFramePolicy, Policy
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.study import campaign

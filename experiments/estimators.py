@@ -26,12 +26,12 @@ from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.snr.estimators import ESTIMATORS
 from uwirl.snr.information import cramer_rao_bound
 from uwirl.snr.intervals import intervals
-from uwirl.world.readings import Readings
 from uwirl.snr.model import Fading, observations
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import exact_shadowing
 from uwirl.world.geometry import distances
 from uwirl.world.random import RandomStreams, Stream
+from uwirl.world.readings import Readings
 from uwirl.world.scenario import Scenario, spread_sensors
 
 log = logging.getLogger("uwirl")

@@ -19,7 +19,6 @@ from torch import Tensor
 
 from uwirl.irl.bellman import BellmanOperator, Segment
 from uwirl.irl.control_affine import simulate
-from uwirl.irl.least_squares import Regularisation
 from uwirl.irl.linear_quadratic import LinearQuadratic, f16, power_system
 from uwirl.irl.policy_iteration import LearnerState, PolicyIteration
 from uwirl.irl.solvers import Batch, BatchLeastSquares, Solver, ZRecursiveLeastSquares
@@ -88,11 +87,11 @@ def known_linear_systems(generator: torch.Generator) -> dict[str, float]:
         expected = riccati_gain(problem)
         errors[f"published_gain_difference_{name}"] = float((expected - published).abs().max())
         start = torch.zeros(1, problem.operator.n3, dtype=torch.float64)
-        solver = ZRecursiveLeastSquares(problem.operator, Regularisation())
+        solver = ZRecursiveLeastSquares(problem.operator)
         exact = exact_experience(problem, generator)
         learned = learn(problem.operator, solver, column(exact), start)
         errors[f"gain_error_{name}"] = relative_error(problem.gain(learned.actor)[0], expected)
-        qr = BatchLeastSquares(problem.operator, Regularisation())
+        qr = BatchLeastSquares(problem.operator)
         learned = learn(problem.operator, qr, column(exact, torch.float32), start.float())
         errors[f"gain_error_{name}_float32"] = relative_error(problem.gain(learned.actor)[0].double(), expected)
         sampled = column(sampled_experience(problem, torch.zeros_like(expected), generator))
@@ -124,8 +123,8 @@ def random_systems(count: int, generator: torch.Generator) -> tuple[list[float],
         start = -riccati_gain(other).flatten()[None]
         exact = column(exact_experience(problem, generator))
         solvers: tuple[Solver[Any], Solver[Any]] = (
-            BatchLeastSquares(problem.operator, Regularisation()),
-            ZRecursiveLeastSquares(problem.operator, Regularisation()),
+            BatchLeastSquares(problem.operator),
+            ZRecursiveLeastSquares(problem.operator),
         )
         for solver, found in zip(solvers, errors, strict=True):
             learned = learn(problem.operator, solver, exact, start)
@@ -165,7 +164,7 @@ def nonlinear_closed_form(generator: torch.Generator) -> dict[str, float]:
     operator = BellmanOperator(6, [2], [1.0])
     segment = operator.segment(basis.critic(x), basis.actor(x), tau, x.square().sum(-1), 0.01, 10, 10, held=False)
     pooled = column(Segment(*(part.flatten(0, 1) for part in segment)))
-    solver = BatchLeastSquares(operator, Regularisation())
+    solver = BatchLeastSquares(operator)
     learned = learn(operator, solver, pooled, torch.zeros(1, 2, dtype=torch.float64))
     evaluated, _ = solver.solve(learned.solver, learned.actor)
     value = torch.tensor([[0.5, 0.0, 1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)

@@ -18,13 +18,13 @@ import torch
 from omegaconf import DictConfig
 from results import leave
 from torch import Tensor
+from uwirl.motion.policy import Policy
 
 from uwirl import build
 from uwirl.config.compose import compose
 from uwirl.config.schema import Config
 from uwirl.config.validate import validate
 from uwirl.motion.planner import IrlPlanner
-from uwirl.motion.policy import Policy
 from uwirl.motion.safety import Guard
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import estimate_each_vehicle

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from uwirl.motion.guidance import Geodesic
     from uwirl.motion.irl_planner import IrlPlanner
     from uwirl.motion.mission import Mission
-    from uwirl.motion.safety import EnergyGuard
+    from uwirl.motion.safety import EnergyGuard, Limits
     from uwirl.snr.estimate import ChannelEstimate
     from uwirl.snr.estimators import maximum_likelihood
     from uwirl.snr.kriging import Kriging
@@ -43,7 +43,7 @@ _HOMES = {
     "motion.guidance": ["Geodesic"],
     "motion.irl_planner": ["IrlPlanner"],
     "motion.mission": ["Mission"],
-    "motion.safety": ["EnergyGuard"],
+    "motion.safety": ["EnergyGuard", "Limits"],
     "snr.estimate": ["ChannelEstimate"],
     "snr.estimators": ["maximum_likelihood"],
     "snr.kriging": ["Kriging"],
@@ -74,6 +74,7 @@ __all__ = [
     "Guarded",
     "IrlPlanner",
     "Kriging",
+    "Limits",
     "LinkBudget",
     "Mission",
     "Observation",

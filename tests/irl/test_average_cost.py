@@ -11,7 +11,6 @@ from torch import Tensor
 
 from uwirl.irl.bellman import BellmanOperator, Segment
 from uwirl.irl.classical_rls import ClassicalRls
-from uwirl.irl.least_squares import Regularisation
 from uwirl.irl.linear_quadratic import LinearQuadratic, f16
 from uwirl.irl.solvers import BatchLeastSquares, Bounds, ZRecursiveLeastSquares
 
@@ -62,7 +61,7 @@ def test_a_constant_cost_is_the_average_and_leaves_the_gains_alone(known, genera
         segment = known.exact_experience(problem, generator, T)
         segment = known.column(segment._replace(cost=segment.cost + q0 * T))
         start = -start_gain(known, problem).flatten()[None]
-        learned = known.learn(operator, family(operator, Regularisation()), segment, start)
+        learned = known.learn(operator, family(operator), segment, start)
         assert known.relative_error(problem.gain(learned.actor)[0], known.riccati_gain(problem)) < 1e-8
         assert learned.average_cost.shape == (1,)
         assert float(learned.average_cost[0]) == pytest.approx(q0, abs=1e-8)
@@ -73,7 +72,7 @@ def test_without_the_column_a_constant_cost_spoils_the_gains(known, generator):
     segment = known.exact_experience(problem, generator, T)
     segment = known.column(segment._replace(cost=segment.cost + 5.0 * T))
     start = torch.zeros(1, problem.operator.n3, dtype=torch.float64)
-    learned = known.learn(problem.operator, BatchLeastSquares(problem.operator, Regularisation()), segment, start)
+    learned = known.learn(problem.operator, BatchLeastSquares(problem.operator), segment, start)
     assert not known.relative_error(problem.gain(learned.actor)[0], known.riccati_gain(problem)) < 0.1
     assert learned.average_cost is None
 
@@ -125,7 +124,7 @@ def test_a_steady_disturbance_and_a_minimum_out_of_reach(known, generator, famil
         operator = with_average(augmented, len(augmented.basis.critic_names) - 1)
         gain = start_gain(known, problem)
         start = -torch.cat([gain, torch.zeros_like(gain[:, :1])], -1).flatten()[None]
-        solver = family(operator, Regularisation())
+        solver = family(operator)
         learned = known.learn(operator, solver, known.column(segment), start)
         expected, P, s, average = affine_optimum(problem, d, r)
         assert average > 0.0
@@ -146,14 +145,12 @@ def test_bounds_and_prior_leave_the_average_cost_free(known, generator):
     segment = known.column(segment._replace(cost=segment.cost + 50.0 * T))
     start = torch.zeros(1, 3, dtype=torch.float64)
     wide, tight = (torch.full((3,), bound, dtype=torch.float64) for bound in (10.0, 0.2))
-    for regularisation in (Regularisation(), Regularisation(prior=1e-3)):
-        solver = ZRecursiveLeastSquares(operator, regularisation, Bounds(-wide, wide))
+    for prior in (0.0, 1e-3):
+        solver = ZRecursiveLeastSquares(operator, Bounds(-wide, wide), prior=prior)
         learned = known.learn(operator, solver, segment, start, updates=60)
         assert known.relative_error(problem.gain(learned.actor)[0], known.riccati_gain(problem)) < 1e-7
         assert float(learned.average_cost[0]) == pytest.approx(50.0, rel=1e-7)
-    learned = known.learn(
-        operator, ZRecursiveLeastSquares(operator, Regularisation(), Bounds(-tight, tight)), segment, start
-    )
+    learned = known.learn(operator, ZRecursiveLeastSquares(operator, Bounds(-tight, tight)), segment, start)
     assert bool((learned.actor.abs() <= 0.2 + 1e-12).all())
     assert float(learned.average_cost[0]) > 1.0
 
@@ -166,7 +163,7 @@ def test_classical_rls_learns_it_too(known, generator):
     segment = known.column(segment._replace(cost=segment.cost + 5.0 * T))
     start = torch.zeros(1, 3, dtype=torch.float64)
     recursive = known.learn(operator, ClassicalRls(operator, 1.0, 1e10, "paper"), segment, start, updates=1)
-    batch = known.learn(operator, BatchLeastSquares(operator, Regularisation()), segment, start, updates=1)
+    batch = known.learn(operator, BatchLeastSquares(operator), segment, start, updates=1)
     for name in ("critic", "actor", "average_cost"):
         torch.testing.assert_close(getattr(recursive, name), getattr(batch, name), rtol=1e-5, atol=1e-5)
 

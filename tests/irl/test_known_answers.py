@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from uwirl.irl.least_squares import Regularisation
 from uwirl.irl.linear_quadratic import f16
 from uwirl.irl.solvers import ZRecursiveLeastSquares
 
@@ -52,7 +51,7 @@ def test_printed_sign_converges_to_wrong_gains(known, generator):
     operator.actor_sign = 1.0
     segment = known.column(known.exact_experience(problem, generator))
     start = torch.zeros(1, operator.n3, dtype=torch.float64)
-    learned = known.learn(operator, ZRecursiveLeastSquares(operator, Regularisation()), segment, start)
+    learned = known.learn(operator, ZRecursiveLeastSquares(operator), segment, start)
     assert not known.relative_error(problem.gain(learned.actor)[0], known.riccati_gain(problem)) < 0.1
 
 

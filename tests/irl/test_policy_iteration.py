@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from uwirl.irl.bellman import Segment
-from uwirl.irl.least_squares import Regularisation
 from uwirl.irl.linear_quadratic import f16
 from uwirl.irl.networks import LinearActor
 from uwirl.irl.policy_iteration import InsufficientDataError, Iterate, LearnerState, PolicyIteration, learn
@@ -29,7 +28,7 @@ def batches(rows: int) -> Iterator[Batch]:
 
 
 def make_learner(updates: int = 2, tolerance: float = 0.0) -> PolicyIteration:
-    solver = ZRecursiveLeastSquares(PROBLEM.operator, Regularisation())
+    solver = ZRecursiveLeastSquares(PROBLEM.operator)
     return PolicyIteration(solver, PROBLEM.operator.unknowns, updates, tolerance)
 
 

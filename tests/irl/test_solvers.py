@@ -8,7 +8,6 @@ import torch
 
 from uwirl.irl.bellman import BellmanOperator, Segment
 from uwirl.irl.classical_rls import ClassicalRls
-from uwirl.irl.least_squares import Regularisation
 from uwirl.irl.solvers import Batch, BatchLeastSquares, Bounds, Solver, ZRecursiveLeastSquares
 
 SIZES, N2, LEARNERS = (3, 2), 4, 2
@@ -76,11 +75,11 @@ def test_rows_match_their_definition(operator, weights):
 
 
 @pytest.mark.parametrize("bounded", [False, True])
-@pytest.mark.parametrize("regularisation", [Regularisation(1e-7, 1e-3), Regularisation()])
+@pytest.mark.parametrize("regularisation", [{"ridge": 1e-7, "prior": 1e-3}, {}])
 def test_z_rls_equals_batch_on_rebuilt_rows(operator, weights, bounded, regularisation):
     bound = torch.full((sum(SIZES),), 0.2, dtype=torch.float64)
     bounds = Bounds(-bound, bound) if bounded else None
-    solvers = [family(operator, regularisation, bounds) for family in (ZRecursiveLeastSquares, BatchLeastSquares)]
+    solvers = [family(operator, bounds, **regularisation) for family in (ZRecursiveLeastSquares, BatchLeastSquares)]
     batches = [stretch(operator, seed, weight=0.4) for seed in range(12)]
     states = [fed(solver, batches, weights) for solver in solvers]
     for policy in (weights, 3.0 * weights):
@@ -92,7 +91,7 @@ def test_z_rls_equals_batch_on_rebuilt_rows(operator, weights, bounded, regulari
 
 
 def test_constant_memory(operator, weights):
-    solver = ZRecursiveLeastSquares(operator, Regularisation())
+    solver = ZRecursiveLeastSquares(operator)
     states = [fed(solver, [stretch(operator, seed) for seed in range(count)], weights) for count in (1, 2, 5)]
     assert {state.Z[0].shape for state in states} == {(LEARNERS, N2 + 5 + 9 + 1, N2 + 5 + 9 + 1)}
     assert [state.rows for state in states] == [(7, 0), (14, 0), (35, 0)]
@@ -100,7 +99,7 @@ def test_constant_memory(operator, weights):
 
 def test_weighted_segments_weigh_their_squares(operator, weights):
     """A weight of 2 on every window of a stretch is the stretch added four times."""
-    solver = BatchLeastSquares(operator, Regularisation())
+    solver = BatchLeastSquares(operator)
     once, other = stretch(operator, 0), stretch(operator, 1)
     two = torch.full_like(once.groups[0].cost, 2.0)
     doubled = once._replace(groups=(once.groups[0].weighted(two), None))
@@ -114,7 +113,7 @@ def test_weighted_segments_weigh_their_squares(operator, weights):
 @pytest.mark.parametrize("family", [ZRecursiveLeastSquares, BatchLeastSquares])
 def test_the_weight_of_a_group_is_that_of_each_of_its_squares(operator, weights, family):
     """The newest weight holds for all of the group, what came before it included."""
-    solver = family(operator, Regularisation())
+    solver = family(operator)
     grouped = [stretch(operator, seed, weight) for seed, weight in enumerate((0.9, 0.7, 0.25))]
     half = torch.full_like(grouped[0].groups[0].cost, 0.5)
     alone = [Batch((part,)) for batch in grouped for part in (batch.groups[0], batch.groups[1].weighted(half))]
@@ -125,7 +124,7 @@ def test_the_weight_of_a_group_is_that_of_each_of_its_squares(operator, weights,
 
 @pytest.mark.parametrize("family", [ZRecursiveLeastSquares, BatchLeastSquares])
 def test_a_group_without_windows_or_without_weight_changes_nothing(operator, weights, family):
-    solver = family(operator, Regularisation(1e-7, 1e-3))
+    solver = family(operator, ridge=1e-7, prior=1e-3)
     full = [stretch(operator, seed, weight=0.4) for seed in range(3)]
     variants = (
         [Batch(batch.groups[:1]) for batch in full],
@@ -138,7 +137,7 @@ def test_a_group_without_windows_or_without_weight_changes_nothing(operator, wei
 
 @pytest.mark.parametrize("family", [ZRecursiveLeastSquares, BatchLeastSquares])
 def test_a_group_may_come_late_and_the_first_one_be_left_out(operator, weights, family):
-    solver = family(operator, Regularisation(1e-7, 1e-3))
+    solver = family(operator, ridge=1e-7, prior=1e-3)
     a, b, c = (stretch(operator, seed, weight=0.4) for seed in range(3))
     late = [Batch((a.groups[0], None), (1.0, 0.4)), Batch((None, b.groups[1]), (1.0, 0.4)), c]
     merged = Batch(
@@ -154,7 +153,7 @@ def test_a_group_may_come_late_and_the_first_one_be_left_out(operator, weights, 
 
 @pytest.mark.parametrize("family", [ZRecursiveLeastSquares, BatchLeastSquares])
 def test_another_number_of_groups_is_refused(operator, weights, family):
-    solver = family(operator, Regularisation())
+    solver = family(operator)
     batch = stretch(operator, 0)
     with pytest.raises(ValueError, match="a batch of 1 groups follows batches of 2"):
         fed(solver, [batch, Batch(batch.groups[:1])], weights)
@@ -162,7 +161,7 @@ def test_another_number_of_groups_is_refused(operator, weights, family):
 
 def test_nothing_to_learn_from_is_refused(operator, weights):
     for family in (ZRecursiveLeastSquares, BatchLeastSquares):
-        solver = family(operator, Regularisation())
+        solver = family(operator)
         with pytest.raises(ValueError, match="no experience"):
             solver.solve(solver.init(weights), weights)
 
@@ -184,10 +183,10 @@ def test_classical_rls_starts_from_the_policys_weights(operator, weights):
 
 BOUND = torch.full((sum(SIZES),), 0.2, dtype=torch.float64)
 FAMILIES = {
-    "z_rls": lambda operator: ZRecursiveLeastSquares(operator, Regularisation(1e-7, 1e-3)),
-    "bounded_z_rls": lambda operator: ZRecursiveLeastSquares(operator, Regularisation(), Bounds(-BOUND, BOUND)),
-    "batch": lambda operator: BatchLeastSquares(operator, Regularisation(1e-7, 1e-3)),
-    "bounded_batch": lambda operator: BatchLeastSquares(operator, Regularisation(), Bounds(-BOUND, BOUND)),
+    "z_rls": lambda operator: ZRecursiveLeastSquares(operator, ridge=1e-7, prior=1e-3),
+    "bounded_z_rls": lambda operator: ZRecursiveLeastSquares(operator, Bounds(-BOUND, BOUND)),
+    "batch": lambda operator: BatchLeastSquares(operator, ridge=1e-7, prior=1e-3),
+    "bounded_batch": lambda operator: BatchLeastSquares(operator, Bounds(-BOUND, BOUND)),
     "rls_paper": lambda operator: ClassicalRls(operator, 1.0, 1e4, "paper"),
     "rls_forgetting": lambda operator: ClassicalRls(operator, 0.99, 1e4, "exponential"),
 }

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uwirl.world.readings import Readings
 from uwirl.snr.model import Geometry, observations
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import exact_shadowing
 from uwirl.world.random import RandomStreams, Stream
+from uwirl.world.readings import Readings
 from uwirl.world.scenario import spread_sensors
 
 SOURCE, DESTINATION = [-30.0, -30.0, -8.0], [30.0, 30.0, -8.0]

@@ -12,9 +12,9 @@ from scipy import stats
 from uwirl.snr.diagnostics import diagnose
 from uwirl.snr.intervals import student_t
 from uwirl.snr.kriging import Kriging
-from uwirl.world.readings import Readings
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import exact_shadowing
+from uwirl.world.readings import Readings
 
 TRUTH = Channel(-60.0, 2.0, -104.0, 6.0, "thorp", 24.0, zeta_dB=3.0, varphi_m=15.0, rho_dB=1.0)
 MESSAGES, SENSORS = 8, 25

@@ -23,10 +23,10 @@ from uwirl.snr.estimators import (
     separate,
 )
 from uwirl.snr.likelihood import DECREMENT
-from uwirl.world.readings import Readings, take_readings
 from uwirl.snr.model import UnidentifiableError
 from uwirl.snr.moments import moment_fit
 from uwirl.world.acoustics import Channel
+from uwirl.world.readings import Readings, take_readings
 
 # All that estimate path loss and fading.
 FITTING = {

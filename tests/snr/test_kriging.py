@@ -16,8 +16,8 @@ from torch import Tensor
 from uwirl.snr import kriging
 from uwirl.snr.estimators import maximum_likelihood
 from uwirl.snr.kriging import Kriging
-from uwirl.world.readings import Readings, take_readings
 from uwirl.world.acoustics import Channel
+from uwirl.world.readings import Readings, take_readings
 from uwirl.world.scenario import spread_sensors
 
 # Where nobody listens.

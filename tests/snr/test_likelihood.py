@@ -15,9 +15,9 @@ from uwirl.snr import likelihood
 from uwirl.snr.estimators import ESTIMATORS, maximum_likelihood
 from uwirl.snr.information import Derivatives, cramer_rao_bound
 from uwirl.snr.likelihood import DECREMENT, profile
-from uwirl.world.readings import Readings
 from uwirl.snr.model import Fading, Spectrum, generalized_least_squares
 from uwirl.world.acoustics import Channel
+from uwirl.world.readings import Readings
 
 SETS = 10
 # Sensors and messages.

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from uwirl import build
 from uwirl.config.own_schema import values
-from uwirl.world.readings import Readings, take_readings
 from uwirl.world.random import RandomStreams
+from uwirl.world.readings import Readings, take_readings
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import spread_sensors
 from uwirl.world.vehicle import Vehicle

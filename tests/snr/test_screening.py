@@ -13,9 +13,9 @@ from scipy import stats
 from uwirl import build
 from uwirl.config.schema import EstimatorConfig
 from uwirl.snr.estimators import least_squares, maximum_likelihood
-from uwirl.world.readings import Readings
 from uwirl.snr.outliers import repeated_median, screen, unlike
 from uwirl.world.acoustics import Channel
+from uwirl.world.readings import Readings
 
 
 def lost(before: Readings, after: Readings) -> torch.Tensor:

@@ -6,16 +6,16 @@ from dataclasses import replace
 import pytest
 import torch
 from scipy import stats
+from uwirl.runs.layouts import campaign
 
 from uwirl import build
 from uwirl.config import world_rules
 from uwirl.motion.targets import mean_channel_targets
-from uwirl.runs.layouts import campaign
 from uwirl.snr.estimators import oracle
-from uwirl.world.readings import take_readings
 from uwirl.study.campaign import Outcomes, fly, upper_bound
 from uwirl.study.evaluation import evaluate
 from uwirl.world.layouts import KINDS
+from uwirl.world.readings import take_readings
 
 SMALL = (
     "experiment=random_layouts",

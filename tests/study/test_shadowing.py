@@ -13,12 +13,12 @@ from torch import Tensor
 from uwirl.motion.targets import ChainTargets, mean_channel_targets
 from uwirl.snr.estimators import estimate_each_vehicle, maximum_likelihood, oracle
 from uwirl.snr.kriging import Kriging
-from uwirl.world.readings import Readings, take_readings
 from uwirl.study import shadowing
 from uwirl.world.random import RandomStreams
+from uwirl.world.readings import Readings, take_readings
 from uwirl.world.relay import Relay
-from uwirl.world.trajectory import Trajectory
 from uwirl.world.scenario import spread_sensors
+from uwirl.world.trajectory import Trajectory
 
 ACOUSTIC = "channel=acoustic_24khz"
 PAIR = "scenario.start=[[10,10,-6,0],[29,29,-4,1]]"

@@ -15,8 +15,8 @@ from uwirl.config.own_schema import values
 from uwirl.world.current import Current
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay
-from uwirl.world.trajectory import DivergedError
 from uwirl.world.scenario import spread_sensors
+from uwirl.world.trajectory import DivergedError
 from uwirl.world.vehicle import Vehicle, VehicleState
 
 SOURCE, DESTINATION = [-30.0, -30.0, -8.0], [30.0, 30.0, -8.0]

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from uwirl.baselines.pd import PdPlanner
-from uwirl.motion.guidance import straight
+from uwirl.motion.guidance import Straight
 from uwirl.motion.safety import obstacle_neighbours
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.world.agent import Agent
@@ -38,7 +38,7 @@ class PotentialField(PdPlanner):
     def fit(self, env: Relay, estimate: ChannelEstimate) -> Agent:
         """The PD agent, pushed off obstacles."""
         # A field leads by itself.
-        attracted = replace(self, guidance=straight)
+        attracted = replace(self, guidance=Straight())
         agent = PdPlanner.fit(attracted, env, estimate)
         return Repelled(agent, self.repulsion, self.reach_m, env.scenario.vehicle_radius)
 

@@ -17,7 +17,6 @@ from uwirl.config.schema import (
 )
 from uwirl.irl.bellman import BellmanOperator
 from uwirl.irl.classical_rls import ClassicalRls
-from uwirl.irl.least_squares import Regularisation
 from uwirl.irl.solvers import BatchLeastSquares, Bounds, Solver, ZRecursiveLeastSquares
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.experience import ExperienceSource, Parallel, VirtualLinks
@@ -34,11 +33,10 @@ def irl_planner(config: Config, planner: IrlConfig, env: Relay) -> IrlPlanner:
         settings = config.solver
         if isinstance(settings, RlsSolverConfig):
             form = "paper" if settings.name == "rls_paper" else "exponential"
-            return ClassicalRls(operator, settings.kappa, settings.p0, form)
+            return ClassicalRls(operator, None, settings.kappa, settings.p0, form)
         assert isinstance(settings, LeastSquaresSolverConfig)
         family = ZRecursiveLeastSquares if settings.name == "z_rls" else BatchLeastSquares
-        regularisation = Regularisation(settings.ridge, settings.prior)
-        return family(operator, regularisation, bounds if settings.bounded else None)
+        return family(operator, bounds, settings.ridge, settings.prior, settings.bounded)
 
     values = asdict(planner)
     values.pop("name")

@@ -16,9 +16,8 @@ from uwirl.config.schema import (
 from uwirl.motion.avoidance import Avoidance, Printed, remark_2, smooth
 from uwirl.motion.barrier import BarrierGuard
 from uwirl.motion.cost import CostWeights
-from uwirl.motion.guidance import Geodesic, Guidance, straight
-from uwirl.motion.route import MapSettings
-from uwirl.motion.safety import EnergyGuard, unguarded
+from uwirl.motion.guidance import Geodesic, Guidance, Straight
+from uwirl.motion.safety import EnergyGuard, Limits, Unguarded
 from uwirl.study.evaluation import Evaluator
 from uwirl.world.agent import Guard
 from uwirl.world.relay import Relay
@@ -37,22 +36,24 @@ def make_guard(config: Config, env: Relay) -> Guard:
     settings = asdict(config.safety)
     settings.pop("name")
     if isinstance(config.safety, BarrierGuardConfig):
-        return BarrierGuard.of(env, **settings)
-    return EnergyGuard.of(env, **settings) if isinstance(config.safety, EnergyGuardConfig) else unguarded
+        return BarrierGuard(Limits.of(env), **settings)
+    return EnergyGuard(Limits.of(env), **settings) if isinstance(config.safety, EnergyGuardConfig) else Unguarded()
 
 
 def make_guidance(config: Config) -> Guidance:
     """How missions are led to their targets."""
     guidance = config.guidance
     if not isinstance(guidance, GeodesicConfig):
-        return straight
+        return Straight()
     return Geodesic(
         guidance.gain,
         guidance.lateral_damping,
         guidance.heading_stiffness,
         guidance.heading_damping,
+        guidance.spacing_m,
+        guidance.exponent,
+        guidance.hard_clearance_m,
         config.safety.margin_m if isinstance(config.safety, GuardConfig) else 0.0,
-        MapSettings(guidance.spacing_m, guidance.exponent, guidance.hard_clearance_m),
     )
 
 

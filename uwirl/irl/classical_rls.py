@@ -9,7 +9,7 @@ from torch import Tensor
 
 from uwirl.irl.bellman import BellmanOperator, Segment
 from uwirl.irl.rls import RecursiveLeastSquares, RlsState
-from uwirl.irl.solvers import Batch, Parts, Solution
+from uwirl.irl.solvers import Batch, Bounds, Parts, Solution
 
 
 class ClassicalRlsState(NamedTuple):
@@ -34,13 +34,15 @@ class ClassicalRls:
 
     Attributes:
         operator: builds the rows.
+        bounds: as other solvers have them; this one heeds none.
         kappa, p0, form: see RecursiveLeastSquares.
     """
 
     operator: BellmanOperator
-    kappa: float
-    p0: float
-    form: str
+    bounds: Bounds | None = None
+    kappa: float = 1.0
+    p0: float = 1e4
+    form: str = "paper"
 
     def init(self, weights: Tensor) -> ClassicalRlsState:
         weight, P = self._rls(weights).init()

@@ -8,18 +8,6 @@ import torch
 from torch import Tensor
 
 
-class Regularisation(NamedTuple):
-    """Quadratic penalties in units where every regressor has unit mean square, so that they need no tuning to scale.
-
-    Attributes:
-        ridge: on every unknown, towards zero.
-        prior: on the actor's weights, towards the present policy.
-    """
-
-    ridge: float = 0.0
-    prior: float = 0.0
-
-
 class NormalEquations(NamedTuple):
     """min_x x'Nx/2 - b'x after scaling to a unit diagonal; the unknowns are x / scale.
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from uwirl.irl.bellman import BellmanOperator, Segment
-from uwirl.irl.least_squares import NormalEquations, Regularisation
+from uwirl.irl.least_squares import NormalEquations
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -101,24 +101,36 @@ class Solver(Protocol[S]):
 
 @dataclass(frozen=True)
 class LeastSquaresPolicyEvaluation:
-    """Penalties and bounds, which the recursive and the batch solver share."""
+    """Penalties and bounds, which the recursive and the batch solver share.
+
+    Penalties are quadratic, in units where every regressor has unit mean square, so that they need no tuning to scale.
+
+    Attributes:
+        operator: builds the rows.
+        bounds: on the actor's weights.
+        ridge: penalty on every unknown, towards zero.
+        prior: penalty on the actor's weights, towards the present policy.
+        bounded: whether the bounds hold, if there are any.
+    """
 
     operator: BellmanOperator
-    regularisation: Regularisation
     bounds: Bounds | None = None
+    ridge: float = 0.0
+    prior: float = 0.0
+    bounded: bool = True
 
     def penalty(self, weights: Tensor) -> tuple[Tensor, Tensor]:
         """Penalty [n] and its centre [L, n] at a policy [L, n3]."""
         n2, n3, n = self.operator.n2, self.operator.n3, self.operator.unknowns
-        penalty = weights.new_full((n,), self.regularisation.ridge)
-        penalty[n2 : n2 + n3] += self.regularisation.prior
+        penalty = weights.new_full((n,), self.ridge)
+        penalty[n2 : n2 + n3] += self.prior
         centre = weights.new_zeros(*weights.shape[:-1], n)
         centre[..., n2 : n2 + n3] = weights
         return penalty, centre
 
     def finish(self, equations: NormalEquations) -> Solution:
         """Solve, within the bounds where there are any."""
-        if self.bounds is None:
+        if self.bounds is None or not self.bounded:
             return Solution(*self.operator.split(equations.solve()))
         actor = slice(self.operator.n2, self.operator.n2 + self.operator.n3)
         lower = self.bounds.lower.new_full((self.operator.unknowns,), -torch.inf)
@@ -227,7 +239,7 @@ class BatchLeastSquares(LeastSquaresPolicyEvaluation):
         rhs = torch.cat([y / total**0.5, penalty.sqrt() * centre * rms], -1)
         Q, R = torch.linalg.qr(A)
         projected = Q.mT @ rhs[..., None]
-        if self.bounds is None:
+        if self.bounds is None or not self.bounded:
             x = torch.linalg.solve_triangular(R, projected, upper=True)[..., 0] / rms
             return Solution(*self.operator.split(x)), state
         return self.finish(NormalEquations(R.mT @ R, (R.mT @ projected)[..., 0], rms)), state

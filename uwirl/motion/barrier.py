@@ -15,15 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from uwirl.motion.safety import nothing_near, obstacle_neighbours, vehicle_neighbours
+from uwirl.motion.safety import Limits, nothing_near, obstacle_neighbours, vehicle_neighbours
 from uwirl.world.geometry import turned_to_body, turned_to_inertial
 from uwirl.world.observation import Observation
-from uwirl.world.relay import Relay
 
 
 @dataclass(frozen=True)
@@ -31,8 +29,7 @@ class BarrierGuard:
     """safety=barrier.
 
     Attributes:
-        tau_max: thruster limits, [4].
-        vehicle_radius: m.
+        limits: of the vehicle.
         margin_m: clearance to keep from obstacles, m.
         separation_m: distance to keep between the centres of vehicles, m.
         k_1: 1/s.
@@ -40,35 +37,29 @@ class BarrierGuard:
         inertia_kg: in surge, sway and heave, as believed.
     """
 
-    tau_max: Tensor
-    vehicle_radius: float
+    limits: Limits
     margin_m: float = 0.15
     separation_m: float = 1.0
     k_1: float = 2.0
     k_0: float = 1.0
     inertia_kg: Sequence[float] = (17.0, 24.2, 26.07)
 
-    @classmethod
-    def of(cls, env: Relay, **settings: Any) -> BarrierGuard:
-        """Of an environment's vehicles."""
-        return cls(env.vehicle.tau_max, env.scenario.vehicle_radius, **settings)
-
     def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
         """tau [B, M, 4], with surge and sway changed as little as the barriers ask for."""
         if nothing_near(observation):
             return tau
-        tau = torch.maximum(torch.minimum(tau, self.tau_max), -self.tau_max)
+        tau = torch.clamp(tau, -self.limits.tau_max, self.limits.tau_max)
         planes = []
         if observation.obstacles.number:
             planes.append(self._obstacles(observation))
         if observation.eta.shape[-2] > 1:
             planes.append(self._vehicles(observation, tau))
         normal, least = (torch.cat(parts, dim) for parts, dim in zip(zip(*planes, strict=True), (-2, -1), strict=True))
-        return torch.cat([nearest_force(tau[..., :2], normal, least, self.tau_max[:2]), tau[..., 2:]], -1)
+        return torch.cat([nearest_force(tau[..., :2], normal, least, self.limits.tau_max[:2]), tau[..., 2:]], -1)
 
     def _obstacles(self, observation: Observation) -> tuple[Tensor, Tensor]:
-        near = obstacle_neighbours(observation, self.vehicle_radius)
-        l = near.clearance + self.vehicle_radius + observation.obstacles.radius
+        near = obstacle_neighbours(observation, self.limits.vehicle_radius)
+        l = near.clearance + self.limits.vehicle_radius + observation.obstacles.radius
         least = self._least(near.n, near.nu, near.clearance - self.margin_m, l)
         return near.n[..., :2] / self._inertia(near.n)[:2], least
 

@@ -160,10 +160,11 @@ class ErrorBasis(LinkFrameFeatures):
     Without velocity the critic has B' grad V = 0, so no force follows from it: kept to show that it fails.
 
     Args:
+        cost: as bases are made from; none of its features needs it.
         velocity: add the velocity features.
     """
 
-    def __init__(self, velocity: bool):
+    def __init__(self, cost: RelayCost | None = None, velocity: bool = True):
         self.velocity = velocity
         self.critic_names = tuple(f"e_{axis}^2" for axis in AXES)
         if velocity:

@@ -31,9 +31,12 @@ def go_straight(controller: LinkController) -> Agent:
     return controller
 
 
-def straight(mission: Mission) -> Lead:
+class Straight:
     """guidance=straight."""
-    return go_straight
+
+    def __call__(self, mission: Mission) -> Lead:
+        """The way to a mission's targets."""
+        return go_straight
 
 
 @dataclass(frozen=True)
@@ -46,8 +49,8 @@ class Geodesic:
         heading_stiffness: moment that turns bow or stern into the way, N m.
         heading_damping: moment against turning, N m s/rad. Both add to the led controller's: at speed the Munk moment
             (m_v - m_u) u v turns a vehicle broadside if yaw is held as softly as is best at the goal.
+        spacing_m, exponent, hard_clearance_m: of the map, see MapSettings.
         margin_m: clearance below which no way leads, m.
-        map_settings: of the router.
         law: along the way.
     """
 
@@ -55,9 +58,16 @@ class Geodesic:
     lateral_damping: float = 100.0
     heading_stiffness: float = 40.0
     heading_damping: float = 4.0
+    spacing_m: float = 0.5
+    exponent: float = 0.75
+    hard_clearance_m: float = 0.25
     margin_m: float = 0.1
-    map_settings: MapSettings = field(default_factory=MapSettings)
     law: WayLaw = field(default_factory=WayLaw)
+
+    @property
+    def map_settings(self) -> MapSettings:
+        """Of the router."""
+        return MapSettings(self.spacing_m, self.exponent, self.hard_clearance_m)
 
     def __call__(self, mission: Mission) -> Lead:
         """The way to a mission's targets."""

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from uwirl.irl.bellman import BellmanOperator
-from uwirl.irl.least_squares import Regularisation
 from uwirl.irl.solvers import Bounds, Solver, ZRecursiveLeastSquares
 from uwirl.motion.cost import CostWeights, RelayCost
 from uwirl.motion.experience import ExperienceSource, VirtualLinks
@@ -17,7 +16,7 @@ from uwirl.world.agent import Guard
 
 def z_rls(operator: BellmanOperator, bounds: Bounds) -> Solver:
     """solver=z_rls: exact and recursive, within bounds that keep the actor a damped convex potential."""
-    return ZRecursiveLeastSquares(operator, Regularisation(ridge=1e-7, prior=1e-3), bounds)
+    return ZRecursiveLeastSquares(operator, bounds, ridge=1e-7, prior=1e-3)
 
 
 @dataclass(frozen=True)

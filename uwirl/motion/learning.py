@@ -19,7 +19,7 @@ from uwirl.motion.irl_settings import IrlSettings
 from uwirl.motion.linear_agent import LinkController
 from uwirl.motion.mission import Mission
 from uwirl.motion.recorder import Recorder, Window
-from uwirl.motion.safety import EnergyGuard
+from uwirl.motion.safety import EnergyGuard, Limits
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.world.agent import Agent
 from uwirl.world.relay import Relay
@@ -81,7 +81,7 @@ class Learning:
 
     def __init__(self, planner: IrlSettings, env: Relay, estimate: ChannelEstimate):
         self.planner, self.env = planner, env
-        self.guard = planner.guard or EnergyGuard.of(env)
+        self.guard = planner.guard or EnergyGuard(Limits.of(env))
         self.mission = Mission(env, estimate.channel, planner.cost)
         self.learners = planner.experience.learners(env)
         # One row a learner, as segments have them; hops are equal, so that one learner serves all vehicles.

@@ -18,7 +18,7 @@ and how fast. Nothing of the dynamics is used but the bounds.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -48,9 +48,34 @@ class Neighbours(NamedTuple):
     axes: Tensor
 
 
-def unguarded(tau: Tensor, observation: Observation) -> Tensor:
+class Limits(NamedTuple):
+    """What a guard has to know of its vehicle beside its own settings.
+
+    Attributes:
+        tau_max: thruster limits, [4].
+        dt: time for which a control is held, s.
+        vehicle_radius: m.
+    """
+
+    tau_max: Tensor
+    dt: float
+    vehicle_radius: float
+
+    @classmethod
+    def of(cls, env: Relay) -> Limits:
+        """Of an environment's vehicles."""
+        return cls(env.vehicle.tau_max, env.scenario.dt, env.scenario.vehicle_radius)
+
+
+@dataclass(frozen=True)
+class Unguarded:
     """safety=none."""
-    return tau
+
+    limits: Limits | None = None
+
+    def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
+        """tau itself."""
+        return tau
 
 
 def nothing_near(observation: Observation) -> bool:
@@ -63,9 +88,7 @@ class EnergyGuard:
     """safety=energy; the defaults suit a BlueROV2.
 
     Attributes:
-        tau_max: thruster limits, [4].
-        dt: time for which a control is held, s.
-        vehicle_radius: m.
+        limits: of the vehicle.
         margin_m: clearance to keep from obstacles, m.
         separation_m: distance to keep between the centres of vehicles, m.
         alpha: how fast h may fall, 1/s.
@@ -74,9 +97,7 @@ class EnergyGuard:
         brake_force_N: tau_b, at most the thrust on these axes less any disturbance, N.
     """
 
-    tau_max: Tensor
-    dt: float
-    vehicle_radius: float
+    limits: Limits
     margin_m: float = 0.1
     separation_m: float = 1.0
     alpha: float = 2.0
@@ -84,16 +105,11 @@ class EnergyGuard:
     mass_lower_kg: float = 12.0
     brake_force_N: float = 80.0
 
-    @classmethod
-    def of(cls, env: Relay, **settings: Any) -> EnergyGuard:
-        """Of an environment's vehicles."""
-        return cls(env.vehicle.tau_max, env.scenario.dt, env.scenario.vehicle_radius, **settings)
-
     def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
         """tau [B, M, 4], with its forces changed as little as safety asks for."""
         if nothing_near(observation):
             return tau
-        tau = torch.maximum(torch.minimum(tau, self.tau_max), -self.tau_max)
+        tau = torch.clamp(tau, -self.limits.tau_max, self.limits.tau_max)
         groups = []
         if observation.obstacles.number:
             groups.append(self._obstacles(observation))
@@ -103,7 +119,7 @@ class EnergyGuard:
 
     def _obstacles(self, observation: Observation) -> tuple[Neighbours, Tensor]:
         """Obstacles that are detected, and h."""
-        near = obstacle_neighbours(observation, self.vehicle_radius)
+        near = obstacle_neighbours(observation, self.limits.vehicle_radius)
         near = near._replace(clearance=near.clearance - self.margin_m)
         return near, near.clearance - self._braking_distance(near.nu.square().sum(-1))
 
@@ -132,7 +148,7 @@ class EnergyGuard:
         n, nu = (torch.cat([getattr(near, name) for near, _ in groups], -2) for name in ("n", "nu"))
         axes = torch.cat([near.axes for near, _ in groups])
         h = torch.cat([h for _, h in groups], -1)
-        force_max, dt = self.tau_max[:3], self.dt
+        force_max, dt = self.limits.tau_max[:3], self.limits.dt
         beta = dt / (2.0 * self.mass_lower_kg)
         drift = nu - self.brake_force_N * beta * n
         centre = -drift / (2.0 * beta)

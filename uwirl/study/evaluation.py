@@ -10,7 +10,7 @@ from torch import Tensor
 from uwirl.motion.cost import CostWeights
 from uwirl.motion.learning import Learning
 from uwirl.motion.mission import Mission
-from uwirl.motion.safety import unguarded
+from uwirl.motion.safety import Unguarded
 from uwirl.world.agent import Agent, Guard, Guarded
 from uwirl.world.obstacles import contacts
 from uwirl.world.relay import Relay
@@ -97,11 +97,11 @@ class Evaluator:
     Args:
         env: the worlds.
         weights: of the running cost; the vehicle's true trim is what effort is counted from.
-        guard: between agent and thrusters.
+        guard: between agent and thrusters; none if None.
     """
 
-    def __init__(self, env: Relay, weights: CostWeights | None = None, guard: Guard = unguarded):
-        self.env, self.guard = env, guard
+    def __init__(self, env: Relay, weights: CostWeights | None = None, guard: Guard | None = None):
+        self.env, self.guard = env, guard or Unguarded()
         self.truth = truth_of(env)
         self.mission = Mission(env, self.truth.channel, weights or CostWeights())
 
