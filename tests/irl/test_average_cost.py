@@ -162,7 +162,9 @@ def test_classical_rls_learns_it_too(known, generator):
     segment = known.exact_experience(problem, generator, T)
     segment = known.column(segment._replace(cost=segment.cost + 5.0 * T))
     start = torch.zeros(1, 3, dtype=torch.float64)
-    recursive = known.learn(operator, ClassicalRls(operator, 1.0, 1e10, "paper"), segment, start, updates=1)
+    recursive = known.learn(
+        operator, ClassicalRls(operator, kappa=1.0, p0=1e10, form="paper"), segment, start, updates=1
+    )
     batch = known.learn(operator, BatchLeastSquares(operator), segment, start, updates=1)
     for name in ("critic", "actor", "average_cost"):
         torch.testing.assert_close(getattr(recursive, name), getattr(batch, name), rtol=1e-5, atol=1e-5)

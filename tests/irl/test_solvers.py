@@ -187,8 +187,8 @@ FAMILIES = {
     "bounded_z_rls": lambda operator: ZRecursiveLeastSquares(operator, Bounds(-BOUND, BOUND)),
     "batch": lambda operator: BatchLeastSquares(operator, ridge=1e-7, prior=1e-3),
     "bounded_batch": lambda operator: BatchLeastSquares(operator, Bounds(-BOUND, BOUND)),
-    "rls_paper": lambda operator: ClassicalRls(operator, 1.0, 1e4, "paper"),
-    "rls_forgetting": lambda operator: ClassicalRls(operator, 0.99, 1e4, "exponential"),
+    "rls_paper": lambda operator: ClassicalRls(operator, kappa=1.0, p0=1e4, form="paper"),
+    "rls_forgetting": lambda operator: ClassicalRls(operator, kappa=0.99, p0=1e4, form="exponential"),
 }
 
 
