@@ -11,7 +11,6 @@ from scipy import stats
 from torch import Tensor
 
 from uwirl import build
-from uwirl.config.own_schema import values
 from uwirl.snr.measurements import Readings, take_readings
 from uwirl.world.random import RandomStreams
 from uwirl.world.relay import Relay
@@ -32,7 +31,7 @@ def env(request: pytest.FixtureRequest, make_config) -> Relay:
     scenario = replace(
         build.make_scenario(config), source=source, destination=destination, start=start, sensors=sensors
     )
-    vehicle = Vehicle(**values(config.vehicle))
+    vehicle = Vehicle(**config.vehicle.values())
     return Relay(scenario, vehicle, build.make_channel(config.channel), RandomStreams.worlds(3, 4))
 
 

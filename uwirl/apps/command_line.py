@@ -1,4 +1,4 @@
-"""What every command does before Hydra takes over: help, and one message with exit code 2 for bad input."""
+"""What every command does around Hydra: help, one message for bad input, and one for whatever stops it."""
 
 from __future__ import annotations
 
@@ -10,50 +10,37 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import hydra
-from hydra._internal.utils import get_args_parser
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from uwirl.config.checks import ConfigError
+from uwirl.apps.flags import is_hydras_affair, is_sweep, read_flags
 from uwirl.config.compose import composed, folder, searching
+from uwirl.config.groups import Groups
 from uwirl.config.help import help_text
-from uwirl.config.suggestions import did_you_mean, similar
-from uwirl.config.sweeps import samples, space
+from uwirl.config.sweeps import check_jobs
 
 BAD_CONFIGURATION = 2
 FAILED = 1
 PLACES = "hydra.run.dir=PATH, of a sweep hydra.sweep.dir=PATH"
 
+Rewrite = Callable[[argparse.Namespace], list[str]]
 
-def answer(program: str, name: str, check: Callable[[DictConfig], None]) -> None:
-    """Answer --help and bad input, before any folder exists; return if Hydra is to run.
 
-    Args:
-        program: its name.
-        name: of the primary configuration; its schema is registered.
-        check: rules of what was composed; raises ValueError or OSError.
+@contextmanager
+def answering(program: str) -> Iterator[None]:
+    """Before Hydra, and before any folder exists: bad input is told in one message.
 
     Raises:
-        SystemExit: 0 after help, BAD_CONFIGURATION after one message.
+        SystemExit: BAD_CONFIGURATION after a ValueError or an OSError.
     """
     # Composing keeps nearly all that it makes: collecting garbage in between costs about 3 % and frees little.
     gc.disable()
     try:
-        flags = read_flags(sys.argv[1:])
-        if flags.help:
-            give_help(program, name, flags)
-        if is_hydras_affair(flags):
-            return
-        if is_sweep(flags):
-            check_jobs(name, flags.overrides, flags.config_dir)
-            return
-        config = composed(name, flags.overrides, flags.config_dir)
-        if not flags.cfg:
-            check(config)
+        yield
     except (ValueError, OSError) as error:
         say(program, error)
         sys.exit(BAD_CONFIGURATION)
@@ -61,57 +48,44 @@ def answer(program: str, name: str, check: Callable[[DictConfig], None]) -> None
         gc.enable()
 
 
-def give_help(program: str, name: str, flags: argparse.Namespace) -> NoReturn:
-    """Print what --help prints, and exit."""
-    with searching(flags.config_dir) as loader:
-        code = tell(program, help_text(program, name, loader))
-    sys.exit(code)
+def checked(
+    program: str,
+    name: str,
+    arguments: Sequence[str],
+    check: Callable[[DictConfig, argparse.Namespace], list[str]],
+    rewrite: Rewrite = lambda flags: flags.overrides,
+) -> list[str]:
+    """Answer --help, and look at what is to be run.
 
+    Args:
+        program: its name.
+        name: of the primary configuration; its schema is registered.
+        arguments: the command line.
+        check: of what the overrides compose, not of a sweep; returns those that Hydra shall run with.
+        rewrite: the overrides that flags and overrides stand for.
 
-def is_hydras_affair(flags: argparse.Namespace) -> bool:
-    """Whether something else than this configuration is shown or run."""
-    others = (flags.hydra_help, flags.shell_completion, flags.experimental_rerun, flags.info)
-    return any(others) or bool(flags.config_path or flags.config_name)
-
-
-def is_sweep(flags: argparse.Namespace) -> bool:
-    """Whether several jobs are asked for."""
-    return flags.multirun or any(word.startswith("hydra.mode=") for word in flags.overrides)
-
-
-def check_jobs(name: str, overrides: Sequence[str], config_dir: str | None) -> None:
-    """Refuse names and types, which are those of every job of a sweep; a job that breaks a rule fails alone.
+    Returns:
+        The command line for Hydra.
 
     Raises:
-        ConfigError: the first of them.
+        SystemExit: after help.
+        ValueError, OSError: what is wrong.
     """
-    words = [*space(name, overrides, config_dir), *overrides]
-    with searching(config_dir) as loader:
-        jobs = list(samples(words, loader))
-    for job in jobs:
-        composed(name, job, config_dir, ablation=False)
-
-
-def read_flags(arguments: Sequence[str]) -> argparse.Namespace:
-    """Hydra's flags and the overrides.
-
-    Raises:
-        ConfigError: a flag that Hydra does not know.
-    """
-    parser = get_args_parser()
-    known = [flag for action in parser._actions for flag in action.option_strings]
-
-    def refuse(message: str) -> None:
-        raise ConfigError("command line", f"{message}; --help and --hydra-help list the flags")
-
-    # Its own way out prints usage first.
-    parser.error = refuse  # type: ignore[method-assign,assignment]
-    flags, rest = parser.parse_known_args(list(arguments))
-    for word in rest:
-        if word.startswith("-"):
-            raise ConfigError(word, f"no such flag{did_you_mean(similar(word, known))}; --hydra-help lists them")
-        raise ConfigError(word, "stands behind a flag; write all of key=value together, flags before or after them")
-    return flags
+    flags = read_flags(arguments)
+    if flags.help:
+        with searching(flags.config_dir) as loader:
+            code = tell(program, help_text(program, Groups(loader, name)))
+        sys.exit(code)
+    if is_hydras_affair(flags):
+        return list(arguments)
+    # Flags come before all overrides, or Hydra reads neither.
+    words = [word for word in arguments if word not in flags.overrides]
+    flags.overrides = rewrite(flags)
+    if is_sweep(flags):
+        check_jobs(name, flags.overrides, flags.config_dir)
+        return [*words, *flags.overrides]
+    config = composed(name, flags.overrides, flags.config_dir)
+    return [*words, *(flags.overrides if flags.cfg else check(config, flags))]
 
 
 def say(program: str, error: BaseException | str) -> None:
@@ -183,12 +157,12 @@ def launch(program: str, name: str, job: Callable[[DictConfig], dict[str, Any]])
     Raises:
         SystemExit: FAILED if a job has failed, and what `one_message` says.
     """
-    with one_message(program), failed_jobs() as failures:
+    with one_message(program), tempfile.TemporaryDirectory(prefix="uwirl_") as failures:
 
         @hydra.main(version_base="1.3", config_path=str(folder()), config_name=name)
         def task(composed: DictConfig) -> float | None:
             # Written first, so that a job that raises, which a search would go on after, has failed too.
-            note = note_failure(failures)
+            note = note_failure(Path(failures))
             metrics = job(composed)
             if metrics["status"] != "complete":
                 return None
@@ -197,23 +171,16 @@ def launch(program: str, name: str, job: Callable[[DictConfig], dict[str, Any]])
             return metrics.get("cost_total")
 
         task()
-        failed = any(failures.iterdir())
+        failed = os.listdir(failures)
     if failed:
         sys.exit(FAILED)
 
 
-@contextmanager
-def failed_jobs() -> Iterator[Path]:
-    """A folder for a file of each failed job, by `note_failure`.
+def note_failure(folder: Path) -> Path | None:
+    """Another file in the folder of failed jobs, named as none before; None on another machine, which has no such.
 
     A launcher may run a sweep's jobs in other processes of this machine, which share no variable with this one.
     """
-    with tempfile.TemporaryDirectory(prefix="uwirl_") as folder:
-        yield Path(folder)
-
-
-def note_failure(folder: Path) -> Path | None:
-    """Another file in the folder of failed jobs, named as none before; None on another machine, which has no such."""
     try:
         with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
             return Path(file.name)

@@ -2,32 +2,22 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uwirl.apps.command_line import (
-    BAD_CONFIGURATION,
-    check_jobs,
-    give_help,
-    is_hydras_affair,
-    is_sweep,
-    launch,
-    read_flags,
-    say,
-)
-from uwirl.apps.job import in_folder
+from uwirl.apps.command_line import answering, checked, launch
+from uwirl.apps.job import Job, run_job
 from uwirl.config import compose
 from uwirl.config.overrides import key_of, section_of, unquoted, without
 from uwirl.config.schema import Config, IrlConfig, register
 from uwirl.config.validate import ConfigError, validate
 
+PROGRAM = "uwirl-evaluate"
 # Settings of the run that the checkpoint is from which an evaluation has no use for.
 UNUSED = ("resume", "init_from", "init_from_parts")
 FOLDER = "hydra.run.dir='outputs/evaluation/${now:%Y-%m-%d_%H-%M-%S_%f}'"
@@ -36,32 +26,20 @@ FOLDER = "hydra.run.dir='outputs/evaluation/${now:%Y-%m-%d_%H-%M-%S_%f}'"
 def main() -> None:
     """Entry point. Exits 2, with one message and no run folder, on a bad configuration; 1 if the evaluation failed."""
     register()
-    try:
+    with answering(PROGRAM):
         path, sys.argv[1:] = _checked(sys.argv[1:])
-    except ValueError as error:
-        say("uwirl-evaluate", error)
-        sys.exit(BAD_CONFIGURATION)
-    launch("uwirl-evaluate", "config", lambda composed: in_folder("uwirl-evaluate", partial(_job, composed, path)))
+    launch(
+        PROGRAM, "config", lambda composed: run_job(PROGRAM, composed, _validated, lambda c, job: _run(c, job, path))
+    )
 
 
-def _job(composed: DictConfig, path: Path, folder: Path, sweep: bool) -> dict[str, Any]:
-    """Evaluate a checkpoint in a job's folder; returns what metrics.json holds."""
+def _run(config: Config, job: Job, path: Path) -> dict[str, Any]:
     from uwirl.runs.evaluation import run
-    from uwirl.runs.refusal import write_refusal
     from uwirl.study import checkpoint, run_folder
 
-    job = HydraConfig.get()
-    experiment = str(job.runtime.choices["experiment"])
-    try:
-        compose.check_composed(composed, job.runtime.choices, GlobalHydra.instance().config_loader())
-        config = _validated(compose.to_config(composed))
-    except ConfigError as error:
-        # One command line was checked before, so this is a job of a sweep.
-        say("uwirl-evaluate", error)
-        return write_refusal(folder, experiment, list(job.overrides.task), None, error)
-    if not sweep:
-        run_folder.check_own(folder, run_folder.config_hash(config, checkpoint.digest(path)))
-    return run(config, experiment, folder, path)
+    if not job.sweep:
+        run_folder.check_own(job.folder, run_folder.config_hash(config, checkpoint.digest(path)))
+    return run(config, job.experiment, job.folder, path)
 
 
 def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
@@ -70,14 +48,24 @@ def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
     Raises:
         CheckpointError, ConfigError: what is wrong.
     """
-    flags = read_flags(arguments)
-    given = [word for word in flags.overrides if word.startswith("checkpoint=")]
-    overrides = [word for word in flags.overrides if word not in given]
-    words = [word for word in arguments if word not in flags.overrides]
-    if flags.help:
-        give_help("uwirl-evaluate", "config", flags)
-    if is_hydras_affair(flags):
-        return Path(), list(arguments)
+    paths = [Path()]
+
+    def rewrite(flags: argparse.Namespace) -> list[str]:
+        paths[0], words = _with_settings(flags.overrides)
+        return words
+
+    def check(composed: DictConfig, flags: argparse.Namespace) -> list[str]:
+        _validated(compose.to_config(composed))
+        return flags.overrides
+
+    line = checked(PROGRAM, "config", arguments, check, rewrite)
+    return paths[0], line
+
+
+def _with_settings(words: Sequence[str]) -> tuple[Path, list[str]]:
+    """The checkpoint that overrides name, and its run's settings with the others."""
+    given = [word for word in words if word.startswith("checkpoint=")]
+    overrides = [word for word in words if word not in given]
     if len(given) != 1 or given == ["checkpoint="]:
         raise ConfigError("checkpoint", "give one file or run folder, as in `uwirl-evaluate checkpoint=PATH`")
     # Imported here because they need torch.
@@ -94,16 +82,11 @@ def _checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
     replaced = [section_of(word) for word in overrides if key_of(word).endswith(".target")]
     gone = [word for word in content["overrides"] if section_of(word) in replaced and ".settings" in key_of(word)]
     saved = [word for word in content["overrides"] if key_of(word) not in UNUSED and word not in gone]
-    composing = [*without(saved, overrides), *overrides]
-    if is_sweep(flags):
-        check_jobs("config", composing, flags.config_dir)
-    else:
-        _validated(compose.compose(composing, flags.config_dir))
     folder = [] if "hydra.run.dir" in map(key_of, overrides) else [FOLDER]
-    return path.resolve(), [*words, *composing, *folder]
+    return path.resolve(), [*without(saved, overrides), *overrides, *folder]
 
 
-def _validated(config: Config) -> Config:
+def _validated(config: Config, job: Job | None = None) -> Config:
     validate(config)
     assert isinstance(config.planner, IrlConfig)  # of which alone there are checkpoints
     return config

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from uwirl.builders.own import make_own
-from uwirl.config.schema import EstimatorConfig, OwnEstimatorConfig
+from uwirl.config.make import make
+from uwirl.config.schema import OURS, EstimatorConfig
 from uwirl.snr.estimators import ESTIMATORS, Estimator
 from uwirl.snr.screening import screen
 
@@ -16,7 +16,7 @@ def make_estimator(config: EstimatorConfig) -> Estimator:
 
 
 def _estimator(config: EstimatorConfig) -> Estimator:
-    if isinstance(config, OwnEstimatorConfig):
-        own: Estimator = make_own(config, "estimator")
+    if config.target != OURS + config.name:
+        own: Estimator = make(config)
         return own
     return ESTIMATORS[config.name]

@@ -7,14 +7,14 @@ import math
 from torch import Tensor
 
 from uwirl.builders.motion import make_guard, make_guidance
-from uwirl.builders.own import make_own
+from uwirl.config.make import make
 from uwirl.config.schema import (
+    BasisConfig,
     Config,
     ExperienceConfig,
     IrlConfig,
     LeastSquaresSolverConfig,
     LinkFrameBasisConfig,
-    OwnBasisConfig,
     ParallelConfig,
     RlsSolverConfig,
     VirtualLinksConfig,
@@ -73,8 +73,8 @@ def _learned_geodesic(config: Config) -> LearnedGeodesic:
 
 def _basis(config: Config, cost: RelayCost) -> MotionBasis:
     basis = config.basis
-    if isinstance(basis, OwnBasisConfig):
-        own: MotionBasis = make_own(basis, "basis", cost)
+    if type(basis) is BasisConfig:
+        own: MotionBasis = make(basis, cost)
         return own
     if not isinstance(basis, LinkFrameBasisConfig):
         return ErrorBasis(velocity=basis.name == "error_velocity")

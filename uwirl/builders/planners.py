@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from uwirl.builders.learning import irl_planner
 from uwirl.builders.motion import make_cost, make_guard, make_guidance
-from uwirl.builders.own import make_own
+from uwirl.config.make import make
 from uwirl.config.schema import (
     Config,
     IrlConfig,
-    OwnPlannerConfig,
     PdConfig,
     PlannerConfig,
     PotentialFieldConfig,
@@ -31,8 +30,8 @@ from uwirl.world.relay import Relay
 def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
     """A planner with these settings; it learns one set of weights for each world of `env`."""
 
-    if isinstance(planner, OwnPlannerConfig):
-        own: Planner = make_own(planner, "baseline" if planner is config.baseline else "planner")
+    if type(planner) is PlannerConfig:
+        own: Planner = make(planner)
         return own
 
     def cost(channel: Channel, targets: ChainTargets) -> RelayCost:

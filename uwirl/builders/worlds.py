@@ -8,8 +8,7 @@ from dataclasses import asdict, replace
 import torch
 from torch import Tensor
 
-from uwirl.builders.own import make_own
-from uwirl.config.own_schema import values as values_of
+from uwirl.config.make import make
 from uwirl.config.schema import ChannelConfig, Config
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.world.absorption import Water
@@ -20,7 +19,7 @@ from uwirl.world.obstacles import Obstacles, no_obstacles
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario, spread_sensors
-from uwirl.world.vehicle import Dynamics, Vehicle
+from uwirl.world.vehicle import Dynamics
 
 
 def make_scenario(config: Config) -> Scenario:
@@ -70,15 +69,12 @@ def _obstacles(config: Config) -> Obstacles:
 
 
 def make_channel(config: ChannelConfig) -> Channel:
-    values = values_of(config) | {"water": Water(**asdict(config.water))}
-    channel: Channel = Channel(**values) if config.target is None else make_own(config, "channel", **values)
+    channel: Channel = make(config, water=Water(**asdict(config.water)))
     return channel
 
 
 def _make_vehicle(config: Config) -> Dynamics:
-    values = values_of(config.vehicle) | {"dtype": getattr(torch, config.dtype), "device": config.device}
-    own = config.vehicle.target is not None
-    vehicle: Dynamics = make_own(config.vehicle, "vehicle", **values) if own else Vehicle(**values)
+    vehicle: Dynamics = make(config.vehicle, dtype=getattr(torch, config.dtype), device=config.device)
     return vehicle
 
 

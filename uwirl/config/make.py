@@ -1,0 +1,41 @@
+"""One way from a section of the configuration to an object, of uwirl's classes and of the user's own alike."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hydra.errors import HydraException
+from hydra.utils import instantiate
+
+from uwirl.config.checks import ConfigError, MadeConfig
+from uwirl.config.custom import FAMILIES, found, lacking
+
+
+def make(section: MadeConfig, *given: Any, **named: Any) -> Any:
+    """The object that a section describes; a function with its settings, such as an estimator, is one already.
+
+    Args:
+        section: validated. Its class is made from its own keys and those of `settings`, by name.
+        given, named: what the class is made from besides; a key by the same name gives way.
+
+    Raises:
+        ConfigError: there is no such class, or its objects lack what their family must have.
+    """
+    key, path = f"{section.family}.target", section.target or type(section).target
+    if path is None:
+        raise ConfigError(key, "names no class; give package.module.Class")
+    target = found(path, key)
+    parts = {name: value for name, value in {**section.values(), **section.settings}.items() if name not in named}
+    try:
+        # What is given never passes through OmegaConf, which takes dataclasses for settings.
+        maker = instantiate({"_target_": path, "_partial_": True, "_convert_": "all", "_recursive_": False, **parts})
+    except HydraException as error:
+        raise ConfigError(key, " ".join(str(error).split())) from None
+    if not isinstance(target, type) and not (given or named):
+        return maker
+    made = maker(*given, **named)
+    family = FAMILIES.get(type(section))
+    missing = lacking(made, family.protocol) if family else []
+    if family and missing:
+        raise ConfigError(key, f"{path} is no {family.protocol}: it has no {', '.join(missing)}")
+    return made
