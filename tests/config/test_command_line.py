@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from uwirl.apps import run
-from uwirl.apps.command_line import note_failure
 from uwirl.apps.flags import read_flags
+from uwirl.apps.program import note_failure
 from uwirl.config.checks import ConfigError
 from uwirl.config.compose import searching
 from uwirl.config.estimate_schema import register

@@ -88,17 +88,14 @@ class MadeConfig(Section):
 
 
 @dataclass
-class NamedConfig(Section):
-    name: str = MISSING  # of the option
-
-
-@dataclass
-class OptionConfig(MadeConfig, NamedConfig):
+class OptionConfig(MadeConfig):
     """An option with a name.
 
     Attributes:
         names: those of uwirl's options with these settings; none where any name will do.
     """
+
+    name: str = MISSING  # of the option
 
     names: ClassVar[tuple[StrEnum, ...]] = ()
 

@@ -119,11 +119,11 @@ def composed(
         ConfigError: unknown keys, groups, options or types, or an ablation that is undone.
     """
     with searching(config_dir) as loader:
-        groups = Groups(loader, name)
+        shipped = config_dir is None and not any(word.startswith("hydra.searchpath=") for word in words)
+        groups = _shipped_groups(name) if shipped else Groups(loader, name)
         chosen, values = groups.split(words)
-        shipped = config_dir is None and not any(word.startswith("hydra.searchpath=") for word in chosen)
         try:
-            config = deepcopy(_shipped(name, tuple(chosen))) if shipped else _files(name, chosen)
+            config = deepcopy(_shipped_files(name, tuple(chosen))) if shipped else _files(name, chosen)
         except REFUSALS as error:
             raise _refusal(error, groups, chosen) from None
         keys = Keys.of(config, list(groups.defaults), groups.holders)
@@ -141,8 +141,13 @@ def _files(name: str, chosen: Sequence[str]) -> DictConfig:
     return hydra.compose(name, list(chosen), return_hydra_config=True)
 
 
-# Only of the program's own files, which nobody edits meanwhile.
-_shipped = cache(_files)
+# The program's own files nobody edits meanwhile.
+_shipped_files = cache(_files)
+
+
+@cache
+def _shipped_groups(name: str) -> Groups:
+    return Groups(GlobalHydra.instance().config_loader(), name)
 
 
 def _set(config: DictConfig, override: Override, keys: Keys) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,7 @@ class EstimateConfig(Section):
             yield "map.capacity_kbps", f"{capacity:g} kbit/s is beyond any link of {link}"
 
 
+@cache
 def register() -> None:
     """Make this schema known to Hydra, and those of the groups."""
     schema.register()

@@ -169,7 +169,9 @@ class Keys:
     def _unknown(self, key: str, siblings: list[str], rest: Sequence[str]) -> ConfigError:
         """A key that no schema has; `rest` stands behind it on the command line."""
         section = key.rpartition(".")[0]
-        siblings = siblings if section else list(dict.fromkeys([*siblings, *self.groups]))
+        siblings = list(dict.fromkeys([*siblings, *([] if section else self.groups)]))
+        # What says little about a section comes last.
+        siblings.sort(key=lambda name: name in ("target", "settings"))
         everywhere = list(self.all())
         others = [] if self.where else self.holders(key)
         where = self.where or (f" here, only with {' or '.join(others)}" if others else "")

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cache
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
@@ -129,6 +130,7 @@ class SearchConfig(Section):
             yield "seeds", f"needs one or more different seeds, got {self.seeds}"
 
 
+@cache
 def register() -> None:
     """Make the schemas known to Hydra.
 

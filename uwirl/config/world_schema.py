@@ -134,7 +134,8 @@ class ScenarioConfig(Section):
 
 
 @dataclass
-class VehicleParameters(Section):
+class VehicleConfig(MadeConfig, family="vehicle"):
+    target: str | None = "uwirl.world.vehicle.Vehicle"  # package.module.Class; null for uwirl's
     mass_kg: float = ruled(positive)  # kg
     yaw_inertia: float = ruled(positive)  # kg m^2; about the vertical axis
     added_mass: list[float] = ruled(numbers(4, not_negative))  # surge, sway, heave in kg, yaw in kg m^2
@@ -152,11 +153,6 @@ class VehicleParameters(Section):
 
 
 @dataclass
-class VehicleConfig(MadeConfig, VehicleParameters, family="vehicle"):
-    target: str | None = "uwirl.world.vehicle.Vehicle"  # package.module.Class; null for uwirl's
-
-
-@dataclass
 class WaterConfig(Section):
     """Read by the absorption laws francois_garrison and, but for salinity and acidity, fisher_simmons."""
 
@@ -168,7 +164,8 @@ class WaterConfig(Section):
 
 
 @dataclass
-class ChannelParameters(Section):
+class ChannelConfig(MadeConfig, family="channel"):
+    target: str | None = "uwirl.world.acoustics.Channel"  # package.module.Class; null for uwirl's
     # dB; the source level in dB re 1 uPa at 1 m, if N0_dB is the noise level in dB re 1 uPa
     K_dB: float = ruled(finite)
     n: float = ruled(positive)  # path loss exponent: the SNR falls by 10 n dB per decade of distance
@@ -186,8 +183,3 @@ class ChannelParameters(Section):
             yield "frequency_khz", "has no effect without absorption; set channel.absorption=thorp too"
         if self.absorption != Absorption.none and self.frequency_khz is None:
             yield "frequency_khz", f"absorption {self.absorption} needs a frequency in kHz"
-
-
-@dataclass
-class ChannelConfig(MadeConfig, ChannelParameters, family="channel"):
-    target: str | None = "uwirl.world.acoustics.Channel"  # package.module.Class; null for uwirl's
