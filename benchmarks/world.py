@@ -27,7 +27,6 @@ import torch
 from torch import Tensor
 
 from uwirl.config.compose import compose
-from uwirl.config.own_schema import values
 from uwirl.config.schema import VehicleConfig
 from uwirl.world.vehicle import Vehicle, VehicleState
 
@@ -108,7 +107,7 @@ def draw(worlds: int, dtype: torch.dtype) -> tuple[VehicleState, Tensor]:
 
 def scalar_workload(config: VehicleConfig) -> Workload:
     """The hand-written vehicle, checked against `Vehicle.step` on 100 vehicles over 20 steps."""
-    vehicle, scalar = Vehicle(**values(config)), ScalarVehicle(config)
+    vehicle, scalar = Vehicle(**config.values()), ScalarVehicle(config)
     state, tau = draw(100, torch.float64)
     forces: list[list[float]] = tau[:, 0].tolist()
     singles: list[list[float]] = state.components[..., 0].T.tolist()
@@ -145,7 +144,7 @@ def vehicle_workloads(config: VehicleConfig) -> dict[Key, Workload]:
     found: dict[Key, Workload] = {}
     can_compile = True
     for name, dtype in DTYPES.items():
-        vehicle = Vehicle(**values(config), dtype=dtype)
+        vehicle = Vehicle(**config.values(), dtype=dtype)
 
         def rk4(x: Tensor, tau: Tensor, vehicle: Vehicle = vehicle) -> Tensor:
             return vehicle.rk4(x, tau, DT)

@@ -12,8 +12,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from uwirl.config.compose import composed
-from uwirl.config.estimate_rules import validate_estimate
 from uwirl.config.estimate_schema import register
+from uwirl.config.validate import validate_estimate
 from uwirl.runs.survey import Survey, run
 from uwirl.snr.estimate import NAMES
 

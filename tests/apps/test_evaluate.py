@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ import torch
 
 from uwirl.apps import evaluate
 from uwirl.config.compose import compose
+from uwirl.config.schema import register
 from uwirl.config.validate import ConfigError, validate
 from uwirl.runs import algorithm, evaluation
 from uwirl.study import checkpoint, learning_file, shadowing
@@ -35,10 +36,18 @@ def learn(folder: Path, *overrides: str) -> dict:
     return algorithm.run(config, "fig5_free", folder, [*SHORT, *overrides])
 
 
+def checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
+    """The checkpoint that is meant, and the command line for Hydra."""
+    register()
+    program = evaluate.Evaluate()
+    line = program.checked(arguments)
+    return program.path, line
+
+
 def fly(folder: Path, *arguments: str) -> dict:
     """`uwirl-evaluate`, in this process."""
     folder.mkdir(parents=True, exist_ok=True)
-    path, line = evaluate._checked(arguments)
+    path, line = checked(arguments)
     config = compose([text for text in line if not text.startswith("hydra.")])
     return evaluation.run(config, "fig5_free", folder, path)
 
@@ -126,7 +135,7 @@ def test_what_does_not_fit_is_refused(pair, tmp_path, arguments, error):
 )
 def test_bad_command_lines_are_refused(source, arguments, error, message):
     with pytest.raises(error, match=message):
-        evaluate._checked([argument.format(source) for argument in arguments])
+        checked([argument.format(source) for argument in arguments])
 
 
 def test_the_command(source, tmp_path, monkeypatch, capsys, call):
@@ -190,32 +199,32 @@ def test_the_hash_tells_what_a_run_starts_from_but_not_where_that_lies(source, p
 
 
 def test_flags_come_before_all_overrides_or_hydra_reads_neither(source):
-    path, line = evaluate._checked(["seed=1,2", f"checkpoint={source}", "scenario.duration_s=3", "-m"])
+    path, line = checked(["seed=1,2", f"checkpoint={source}", "scenario.duration_s=3", "-m"])
     assert path == source / "checkpoints" / "last.pt"
     assert line == ["-m", *SHORT[:2], *QUIET, "seed=1,2", "scenario.duration_s=3", evaluate.FOLDER]
 
 
 def test_a_sweeps_names_are_checked_first(source):
     with pytest.raises(ConfigError, match=r"sed: no such key.*did you mean 'seed'"):
-        evaluate._checked(["-m", f"checkpoint={source}", "sed=1,2"])
+        checked(["-m", f"checkpoint={source}", "sed=1,2"])
 
 
 def test_another_class_takes_its_settings_along(source, monkeypatch):
     saved = ["vehicle.target=mine.Worn", "+vehicle.settings.dead_zone=2", "seed=1"]
     loaded = learning_file.load(source / "checkpoints" / "last.pt")
     monkeypatch.setattr(learning_file, "load", lambda path: loaded | {"overrides": saved})
-    _, line = evaluate._checked([f"checkpoint='{source}'", "vehicle.target=null"])
+    _, line = checked([f"checkpoint='{source}'", "vehicle.target=null"])
     assert line == ["seed=1", "vehicle.target=null", evaluate.FOLDER]
 
 
 @pytest.mark.parametrize("arguments", [[], ["--config-dir", "."], ["seed=1"]])
 def test_a_checkpoint_is_asked_for(arguments):
     with pytest.raises(ConfigError, match="checkpoint: give one file or run folder"):
-        evaluate._checked(arguments)
+        checked(arguments)
 
 
 def test_help_is_its_own(capsys):
     with pytest.raises(SystemExit) as ended:
-        evaluate._checked(["--help"])
+        checked(["--help"])
     assert ended.value.code == 0
     assert capsys.readouterr().out.startswith("uwirl-evaluate: fly what was learned")

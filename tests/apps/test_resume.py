@@ -60,7 +60,7 @@ def test_other_settings_are_refused_and_listed(whole, tmp_path):
         "cost.beta_2 = ",
     ):
         assert text in result.stderr
-    assert result.stderr.count(" there, ") == 4
+    assert result.stderr.count(" there, ") == 6
     assert list(tmp_path.iterdir()) == []
 
 

@@ -14,7 +14,7 @@ from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import OmegaConf
 
 from hydra_plugins.uwirl_search import Trials
-from uwirl.apps import job, run
+from uwirl.apps import run
 
 QUICK = ("planner=pd", "experiment=fig5_free", "logging.figures=false", "logging.tensorboard=false")
 MINE = ("-m", "--config-dir", "mine", "hydra/sweeper=mine", *QUICK)
@@ -124,12 +124,12 @@ def test_a_job_that_raises_is_told(tmp_path: Path, call: Callable[..., None], mo
     space(tmp_path, "planner.position_gain.0: choice(5.0, 6.0)", trials=3)
     monkeypatch.chdir(tmp_path)
 
-    def run_job(config: Any) -> dict[str, Any]:
+    def fly(program: run.Run, config: Any) -> dict[str, Any]:
         if config.planner.position_gain[0] == 6.0:
             raise RuntimeError("a bug")
         return {"status": "complete", "cost_total": 1.0}
 
-    monkeypatch.setattr(job, "run_job", run_job)
+    monkeypatch.setattr(run.Run, "job", fly)
     with pytest.raises(SystemExit) as caught:
         call(run.main, *MINE, "hydra.sweep.dir=search")
     assert caught.value.code == 1

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from uwirl.apps.job import MOST_BYTES, folder_name
+from uwirl.apps.program import MOST_BYTES, folder_name
 
 QUIET = ("logging.figures=false", "logging.tensorboard=false")
 QUICK = ("planner=pd", "experiment=fig5_free", "scenario.duration_s=5", *QUIET)

@@ -33,11 +33,14 @@ FILES = [(group, path.stem) for group in GROUPS for path in sorted((folder() / g
 NAMED = ["estimator", "basis", "safety", "guidance", "solver", "planner", "experience"]
 
 # What a choice asks for besides.
+TARGETS = {
+    "basis": ["basis.target=uwirl.motion.features.LinkFrameBasis", "+basis.settings.length_scales_m=[2]"],
+    "estimator": ["estimator.target=uwirl.snr.estimators.oracle"],
+    "planner": ["planner.target=uwirl.motion.planner.LearningPlanner"],
+}
 NEEDS = {
     ("basis", "geodesic"): ["experience=parallel"],
-    ("basis", "own"): ["basis.target=uwirl.motion.features.LinkFrameBasis", "+basis.settings.length_scales_m=[2]"],
-    ("estimator", "own"): ["estimator.target=uwirl.snr.estimators.oracle"],
-    ("planner", "own"): ["planner.target=uwirl.motion.planner.LearningPlanner"],
+    **{(group, name): words for group, words in TARGETS.items() for name in ("custom", "own")},
 }
 
 

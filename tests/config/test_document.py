@@ -8,10 +8,9 @@ import subprocess
 import sys
 
 import pytest
+from write_configuration import PATH, Setting, document, settings
 
 from uwirl.config import estimate_schema, schema
-from uwirl.config.catalogue import Setting, settings
-from uwirl.config.document import PATH, document
 from uwirl.config.schema import ScenarioConfig
 
 # What endings of names stand for; every other number says its unit, if it has one, behind the field.
@@ -31,7 +30,7 @@ SCHEMAS = sorted({c for m in MODULES for c in vars(m).values() if dataclasses.is
 
 
 def test_page_is_up_to_date():
-    assert PATH.read_text(encoding="utf-8") == document(), "run `python -m uwirl.config.document`"
+    assert PATH.read_text(encoding="utf-8") == document(), "run `python docs/write_configuration.py`"
 
 
 def test_page_holds_every_key_and_its_default():
@@ -62,6 +61,8 @@ def test_comments_are_the_fields_own():
 
 
 def test_page_is_written_without_torch():
-    program = "import sys; import uwirl.config.document as d; d.document(); print('torch' in sys.modules)"
-    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    program = "import sys; import write_configuration as d; d.document(); print('torch' in sys.modules)"
+    result = subprocess.run(
+        [sys.executable, "-c", program], cwd=PATH.parent, capture_output=True, text=True, check=True
+    )
     assert result.stdout == "False\n"

@@ -14,10 +14,9 @@ from hydra.core.override_parser.types import IntervalSweep, RangeSweep
 from omegaconf import OmegaConf
 
 from uwirl.config.checks import ConfigError
-from uwirl.config.compose import composed, folder
+from uwirl.config.compose import EXTRAS, composed, folder
 from uwirl.config.groups import parsed
 from uwirl.config.schema import register
-from uwirl.config.suggestions import EXTRAS
 from uwirl.config.sweeps import space
 from uwirl.config.validate import validate
 

@@ -141,7 +141,7 @@ ESTIMATE = [
     (["map.spacing=3"], "map.spacing", "did you mean 'map.spacing_m'?"),
     (["channel.zeta=3"], "channel.zeta", "did you mean 'channel.zeta_dB'?"),
     (["+dat=log.csv"], "dat", "did you mean 'data'?"),
-    (["estimator=irl"], "estimator", "'irl' is none of disk, generalized_least_squares"),
+    (["estimator=irl"], "estimator", "'irl' is none of custom, disk, generalized_least_squares"),
     (["planner=pd"], "planner", "is no group to choose from here (there are channel, estimator, logging)"),
     (["max_readings=many"], "max_readings", "must be a whole number, got many"),
     (["~estimator"], "estimator", "cannot be left out"),

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from omegaconf import OmegaConf
 
-from uwirl.config.schema import Config
-from uwirl.config.validate import ConfigError, validate
-from uwirl.config.world_rules import RK4_STABILITY
+from uwirl.config.compose import compose
+from uwirl.config.validate import RK4_STABILITY, ConfigError, validate
 
 PAIR = "scenario.start=[[0,0,-5,0],[5,5,-5,0]]"
 HOVER_AND_LEG = "planner.calibration_s=15 experience.leg_s=5 planner.max_time_s"
@@ -248,21 +245,10 @@ ALLOWED = [
 ]
 
 
-def configured(make_config, overrides: str) -> Config:
-    """As on the command line; groups are composed by Hydra once, values set by its grammar on what they gave."""
-    words = overrides.split()
-    values = [word for word in words if "." in word.partition("=")[0]]
-    node = OmegaConf.structured(make_config(*(word for word in words if word not in values)))
-    for override in OverridesParser.create().parse_overrides(values):
-        OmegaConf.update(node, override.key_or_group, override.value())
-    return OmegaConf.to_object(node)
-
-
 @pytest.mark.parametrize(("overrides", "key", "fragment"), RULES, ids=[row[0] for row in RULES])
-def test_rule(make_config, overrides: str, key: str, fragment: str):
-    config = configured(make_config, overrides)
+def test_rule(overrides: str, key: str, fragment: str):
     with pytest.raises(ConfigError) as caught:
-        validate(config)
+        validate(compose(overrides.split()))
     assert caught.value.key == key
     assert str(caught.value).startswith(f"{key}: ")
     assert fragment in str(caught.value)
@@ -270,8 +256,8 @@ def test_rule(make_config, overrides: str, key: str, fragment: str):
 
 
 @pytest.mark.parametrize("overrides", ALLOWED)
-def test_just_within_the_rules(make_config, overrides: str):
-    validate(configured(make_config, overrides))
+def test_just_within_the_rules(overrides: str):
+    validate(compose(overrides.split()))
 
 
 def test_step_limit_is_rk4s():

@@ -8,7 +8,6 @@ import torch
 from scipy import optimize
 
 from uwirl import build
-from uwirl.config.own_schema import values
 from uwirl.motion.barrier import nearest_force
 from uwirl.motion.safety import EnergyGuard
 from uwirl.world.current import Current
@@ -40,7 +39,7 @@ def cluttered(env: Relay, worlds: int, velocity: float = 0.0, seed: int = 0) -> 
 
 def scaled(env: Relay, mass: float, make_config) -> Relay:
     """The same environment with a vehicle of so many times the mass and added mass."""
-    settings = values(make_config().vehicle)
+    settings = make_config().vehicle.values()
     settings |= {
         "mass_kg": mass * settings["mass_kg"],
         "added_mass": [mass * a for a in settings["added_mass"][:3]] + [0.12],

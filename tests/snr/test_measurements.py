@@ -9,9 +9,9 @@ import pytest
 import torch
 from scipy import stats
 from torch import Tensor
+from uwirl.config.own_schema import values
 
 from uwirl import build
-from uwirl.config.own_schema import values
 from uwirl.world.random import RandomStreams
 from uwirl.world.readings import Readings, take_readings
 from uwirl.world.relay import Relay

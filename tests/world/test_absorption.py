@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 import torch
 
-from uwirl.config import world_rules
+from uwirl.config.world_schema import Absorption
 from uwirl.world.absorption import ABSORPTION_LAWS, Water, fisher_simmons, francois_garrison, thorp
 from uwirl.world.acoustics import Channel
 
@@ -16,7 +16,7 @@ LAWS = sorted(ABSORPTION_LAWS)
 
 
 def test_configuration_knows_the_laws():
-    assert world_rules.ABSORPTION == ("none", *ABSORPTION_LAWS)
+    assert tuple(Absorption) == ("none", *ABSORPTION_LAWS)
 
 
 @pytest.mark.parametrize(("frequency", "printed"), [(1, "0.0690"), (10, "1.187"), (24, "5.691"), (50, "17.467")])

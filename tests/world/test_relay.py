@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from uwirl import build
-from uwirl.config.own_schema import values
 from uwirl.world.current import Current
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay
@@ -36,7 +35,7 @@ def env(make_config) -> Relay:
         build.make_scenario(config), source=tensor(SOURCE), destination=tensor(DESTINATION), start=tensor(START)
     )
     streams = RandomStreams.worlds(11, WORLDS)
-    return Relay(scenario, Vehicle(**values(config.vehicle)), build.make_channel(config.channel), streams)
+    return Relay(scenario, Vehicle(**config.vehicle.values()), build.make_channel(config.channel), streams)
 
 
 def world_alone(env: Relay, i: int) -> Relay:

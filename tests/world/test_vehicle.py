@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 from torch import Tensor
 
 from uwirl.config.compose import folder
-from uwirl.config.own_schema import values
 from uwirl.world import vehicle as vehicle_module
 from uwirl.world.vehicle import Vehicle, VehicleState
 
@@ -21,7 +20,7 @@ BATCH = (6, 2)
 
 @pytest.fixture(params=PRESETS)
 def settings(request: pytest.FixtureRequest, make_config) -> dict:
-    return values(make_config(f"vehicle={request.param}").vehicle)
+    return make_config(f"vehicle={request.param}").vehicle.values()
 
 
 @pytest.fixture
@@ -31,7 +30,7 @@ def vehicle(settings: dict) -> Vehicle:
 
 @pytest.fixture
 def bluerov2(make_config) -> Vehicle:
-    return Vehicle(**values(make_config("vehicle=bluerov2").vehicle))
+    return Vehicle(**make_config("vehicle=bluerov2").vehicle.values())
 
 
 def normal(*shape: int, seed: int = 0) -> Tensor:

@@ -8,7 +8,7 @@ import io
 import sys
 from pathlib import Path
 
-from uwirl.apps.command_line import BAD_CONFIGURATION, FAILED, tell
+from uwirl.apps.terminal import BAD_CONFIGURATION, FAILED, tell
 
 
 def main() -> None:

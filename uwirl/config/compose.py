@@ -4,30 +4,46 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
+from copy import deepcopy
+from dataclasses import fields, is_dataclass, replace
+from enum import Enum
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import hydra
-from hydra._internal.hydra import Hydra
-from hydra._internal.utils import create_config_search_path
 from hydra.core.config_loader import ConfigLoader
-from hydra.core.config_search_path import SearchPathQuery
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
-from hydra.errors import HydraException
-from hydra.version import setbase
+from hydra.core.override_parser.types import Override
+from hydra.core.plugins import Plugins
+from hydra.errors import HydraException, MissingConfigException
+from hydra.plugins.search_path_plugin import SearchPathPlugin
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import InterpolationResolutionError, MissingMandatoryValue, OmegaConfBaseException
 from yaml import YAMLError
 
 from uwirl.config.ablations import check_ablation
 from uwirl.config.checks import ConfigError
-from uwirl.config.groups import check_overrides, chosen, holders
+from uwirl.config.groups import Groups, is_schema
+from uwirl.config.keys import Keys, field_types
 from uwirl.config.schema import Config, register
-from uwirl.config.suggestions import check_known, explained
+from uwirl.config.suggestions import did_you_mean, listed, similar
 
-# The last three are what OmegaConf stumbles into where a section is null.
-REFUSALS = (HydraException, OmegaConfBaseException, YAMLError, ValueError, AttributeError, AssertionError)
+# What files that do not fit together end in.
+REFUSALS = (HydraException, OmegaConfBaseException, YAMLError, ValueError)
+# Options of Hydra's groups that a plugin brings, and groups that only one has: the extra with it.
+EXTRAS = {
+    "hydra/launcher/joblib": "sweep",
+    "hydra/launcher/submitit_local": "slurm",
+    "hydra/launcher/submitit_slurm": "slurm",
+    "hydra/launcher/ray": "ray",
+    "hydra/launcher/ray_aws": "ray",
+    "hydra/sweeper/optuna": "optuna",
+    "hydra/sweeper/sampler": "optuna",
+}
 
 
 def folder() -> Path:
@@ -35,6 +51,40 @@ def folder() -> Path:
     package = Path(__file__).resolve().parents[1]
     packaged = package / "conf"
     return packaged if packaged.is_dir() else package.parent / "conf"
+
+
+class OwnFolder(SearchPathPlugin):
+    """The user's own folder, put where --config-dir puts it: `initialize_config_dir` knows no second one."""
+
+    path: Path | None = None
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        if self.path is not None:
+            search_path.append("command-line", f"file://{self.path}")
+
+
+@contextmanager
+def searching(config_dir: str | None = None) -> Iterator[ConfigLoader]:
+    """Hydra, looking for files where `hydra.main` would.
+
+    Args:
+        config_dir: a folder of the user's own files, as after --config-dir.
+
+    Raises:
+        ConfigError: config_dir is no folder.
+    """
+    own = None if config_dir is None else Path(config_dir).resolve()
+    if own is not None and not own.is_dir():
+        raise ConfigError("--config-dir", f"{own} is no folder")
+    Plugins.instance().register(OwnFolder)
+    # That of an experiment's script, perhaps.
+    GlobalHydra.instance().clear()
+    OwnFolder.path = own
+    try:
+        with hydra.initialize_config_dir(str(folder()), version_base="1.3"):
+            yield GlobalHydra.instance().config_loader()
+    finally:
+        OwnFolder.path = None
 
 
 def compose(overrides: Sequence[str] = (), config_dir: str | None = None) -> Config:
@@ -51,63 +101,91 @@ def compose(overrides: Sequence[str] = (), config_dir: str | None = None) -> Con
     return to_config(composed("config", overrides, config_dir))
 
 
-def composed(name: str, overrides: Sequence[str], config_dir: str | None = None, ablation: bool = True) -> DictConfig:
+def composed(
+    name: str, words: Sequence[str], config_dir: str | None = None, ablation: bool = True, whole: bool = False
+) -> DictConfig:
     """A primary configuration, whose schema is registered, with overrides.
+
+    Files are composed by Hydra, once for the same choices; each value is held against what they gave, and set on it.
 
     Args:
         name: of its file.
-        overrides: as on the command line.
+        words: as on the command line.
         config_dir: a folder of the user's own files, as after --config-dir.
         ablation: whether it must hold.
+        whole: whether Hydra's own settings are part of it.
 
     Raises:
         ConfigError: unknown keys, groups, options or types, or an ablation that is undone.
     """
     with searching(config_dir) as loader:
-        groups = chosen(loader, name)
-        check_overrides(overrides, loader, groups)
+        shipped = config_dir is None and not any(word.startswith("hydra.searchpath=") for word in words)
+        groups = _shipped_groups(name) if shipped else Groups(loader, name)
+        chosen, values = groups.split(words)
         try:
-            config = hydra.compose(name, list(overrides), return_hydra_config=True)
-            choices = dict(config.hydra.runtime.choices)
+            config = deepcopy(_shipped_files(name, tuple(chosen))) if shipped else _files(name, chosen)
         except REFUSALS as error:
-            raise explained(error, overrides, groups, partial(holders, loader, groups)) from None
-        with open_dict(config):
-            del config["hydra"]
-        check_composed(config, choices, loader if ablation else None)
+            raise _refusal(error, groups, chosen) from None
+        keys = Keys.of(config, list(groups.defaults), groups.holders)
+        for override in values:
+            _set(config, override, keys)
+        choices = dict(config.hydra.runtime.choices)
+        if not whole:
+            with open_dict(config):
+                del config["hydra"]
+            check_composed(config, choices, groups if ablation else None)
         return config
 
 
-@contextmanager
-def searching(config_dir: str | None = None) -> Iterator[ConfigLoader]:
-    """Hydra, looking for files where `hydra.main` would: `hydra.initialize_config_dir` knows no second folder.
+def _files(name: str, chosen: Sequence[str]) -> DictConfig:
+    return hydra.compose(name, list(chosen), return_hydra_config=True)
+
+
+# The program's own files nobody edits meanwhile.
+_shipped_files = cache(_files)
+
+
+@cache
+def _shipped_groups(name: str) -> Groups:
+    return Groups(GlobalHydra.instance().config_loader(), name)
+
+
+def _set(config: DictConfig, override: Override, keys: Keys) -> None:
+    """As Hydra would, after a look at the key.
 
     Raises:
-        ConfigError: config_dir is no folder.
+        ConfigError: there is no such key, or the value is of another type.
     """
-    setbase("1.3")
-    path = create_config_search_path(str(folder()))
-    if config_dir is not None:
-        own = Path(config_dir).resolve()
-        if not own.is_dir():
-            raise ConfigError("--config-dir", f"{own} is no folder")
-        path.prepend("command-line", f"file://{own}", SearchPathQuery(provider="schema"))
-    GlobalHydra.instance().clear()
-    Hydra.create_main_hydra2(task_name="app", config_search_path=path)
+    key, value = override.key_or_group, override.value()
+    added = override.is_add() or override.is_force_add()
+    nested: Any = value
+    for part in reversed(key.split(".")):
+        nested = {part: nested}
+    replace(keys, added=added).check(nested, node=config)
+    there = OmegaConf.select(config, key, throw_on_missing=False, throw_on_resolution_failure=False)
+    if override.is_add() and there is not None and not isinstance(value, (dict, list)):
+        raise ConfigError(key, f"is there already; drop the +, as in {key}=VALUE")
     try:
-        yield GlobalHydra.instance().config_loader()
-    finally:
-        GlobalHydra.instance().clear()
+        OmegaConf.update(config, key, value, merge=True, force_add=added)
+    except OmegaConfBaseException as error:
+        raise ConfigError(key, first_line(error)) from None
 
 
-def check_composed(config: DictConfig, choices: Mapping[str, Any], loader: ConfigLoader | None) -> None:
-    """What Hydra lets pass: keys added with + that no schema has, and ablations that are undone.
+def check_composed(config: DictConfig, choices: Mapping[str, Any], groups: Groups | None) -> None:
+    """What Hydra lets pass: keys that no schema has, lists where numbers should be, ablations that are undone.
+
+    Args:
+        config: composed, without Hydra's own settings.
+        choices: Hydra's, option by group.
+        groups: that the ablation is found in; without, it need not hold.
 
     Raises:
         ConfigError: the first of them.
     """
-    check_known(config, [group for group in choices if not group.startswith("hydra/")])
-    if loader is not None:
-        check_ablation(config, choices, loader)
+    names = [group for group in choices if not group.startswith("hydra/")]
+    Keys.of(config, names).check(OmegaConf.to_container(config), node=config)
+    if groups is not None:
+        check_ablation(config, choices, groups)
 
 
 def to_config(composed: DictConfig) -> Config:
@@ -124,6 +202,67 @@ def to_config(composed: DictConfig) -> Config:
 def to_object(composed: DictConfig) -> Any:
     """As `to_config`, of any schema."""
     try:
-        return OmegaConf.to_object(composed)
+        return _plain(OmegaConf.to_object(composed))
+    except MissingMandatoryValue as error:
+        raise ConfigError(str(error.full_key), f"has no value; give it one with {error.full_key}=VALUE") from None
+    except InterpolationResolutionError as error:
+        raise ConfigError(str(error.full_key), f"refers to what is not there: {first_line(error)}") from None
     except OmegaConfBaseException as error:
-        raise explained(error) from None
+        raise ConfigError(str(error.full_key or "configuration"), first_line(error)) from None
+
+
+def _plain(value: Any) -> Any:
+    """Names that are choices as text, which YAML, JSON and checkpoints take."""
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    for field in fields(value) if is_dataclass(value) else ():
+        setattr(value, field.name, _plain(getattr(value, field.name)))
+    return value.value if isinstance(value, Enum) else value
+
+
+def first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0].strip()
+
+
+def _refusal(error: BaseException, groups: Groups, chosen: Sequence[str]) -> ConfigError:
+    """Why files cannot be composed."""
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file:
+        return _not_there(error.missing_cfg_file, [o for o in error.options or () if not is_schema(o)])
+    try:
+        _check_files(groups, chosen)
+    except ConfigError as found:
+        return found
+    except REFUSALS:
+        pass
+    # Where an error has a cause, Hydra puts the reason there.
+    lines = dict.fromkeys(first_line(e) for e in (error, error.__cause__) if e is not None)
+    return ConfigError("configuration", "; ".join(lines))
+
+
+def _not_there(path: str, options: Sequence[str]) -> ConfigError:
+    group, _, option = path.rpartition("/")
+    extra = EXTRAS.get(path) or (None if options else EXTRAS.get(group))
+    if extra:
+        return ConfigError(group, f"{option!r} needs a plugin, pip install 'uwirl[{extra}]'")
+    near = did_you_mean([f"{group}={name}" for name in similar(option, options)])
+    return ConfigError(group or path, f"{option!r} is none of {listed(options)}{near}")
+
+
+def _check_files(groups: Groups, chosen: Sequence[str]) -> None:
+    """Hold every file against the schemas, in Hydra's order.
+
+    Raises:
+        ConfigError: a key that no schema has, or a value of another type; says in which file.
+    """
+    schemas: dict[str, Any] = {}
+    for default in groups.loader.compute_defaults_list(groups.name, list(chosen), RunMode.RUN).defaults:
+        path, package = default.config_path or "", default.package or ""
+        if is_schema(path.rpartition("/")[2]):
+            schemas[package] = OmegaConf.get_type(ConfigStore.instance().load(f"{path}.yaml").node)
+            continue
+        file = groups.load(path)
+        if file is not None:
+            root = field_types(schemas[""]) if "" in schemas else {}
+            content: Any = OmegaConf.to_container(file)
+            content = {key: value for key, value in content.items() if key not in ("defaults", "hydra")}
+            Keys(schemas, where=f" (in {path})").check(content, root.get(package, Any), package)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import textwrap
+from typing import Any
 
-from hydra.core.config_loader import ConfigLoader
+from omegaconf import OmegaConf
 
-from uwirl.config.groups import chosen, load, options
+from uwirl.config.groups import Groups
 
 TEXT = """\
 {program}: {purpose}
@@ -39,23 +40,16 @@ EXAMPLE = {
 }
 
 
-def help_text(program: str, name: str, loader: ConfigLoader) -> str:
-    """What --help prints, of the program with this primary configuration."""
-    defaults = chosen(loader, name)
-    width = max(map(len, defaults)) + 2
+def help_text(program: str, groups: Groups) -> str:
+    """What --help prints, of the program with these groups."""
+    width = max(map(len, groups.defaults)) + 2
     rows = []
-    for group, default in defaults.items():
-        there = options(loader, group.partition("@")[0])
-        listed = ", ".join(f"*{option}" if option == default else option for option in there)
+    for group, default in groups.defaults.items():
+        options = ", ".join(f"*{option}" if option == default else option for option in groups.options(group))
         indent = " " * (width + 2)
-        rows.append(textwrap.fill(listed, 100, initial_indent=f"  {group:{width}}", subsequent_indent=indent))
-    primary = load(loader, name)
-    assert primary is not None
-    keys = ", ".join(
-        f"{key}.*" if hasattr(primary._get_node(key), "keys") else key
-        for key in map(str, primary)
-        if key not in ("defaults", "hydra")
-    )
-    return TEXT.format(
-        program=program, purpose=PURPOSE[program], groups="\n".join(rows), keys=keys, example=EXAMPLE[program]
-    )
+        rows.append(textwrap.fill(options, 100, initial_indent=f"  {group:{width}}", subsequent_indent=indent))
+    primary: Any = OmegaConf.to_container(groups.load(groups.name) or OmegaConf.create())
+    names = [f"{key}.*" if isinstance(value, dict) else key for key, value in primary.items()]
+    keys = ", ".join(name for name in names if name not in ("defaults", "hydra.*"))
+    listed = "\n".join(rows)
+    return TEXT.format(program=program, purpose=PURPOSE[program], groups=listed, keys=keys, example=EXAMPLE[program])

@@ -4,26 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import hydra
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep
-from omegaconf import DictConfig
 
-from uwirl.config.checks import ConfigError, one_of
-from uwirl.config.compose import REFUSALS, searching
+from uwirl.config.checks import ConfigError
+from uwirl.config.compose import composed, searching
 from uwirl.config.groups import parsed
 from uwirl.config.overrides import section_of
-from uwirl.config.suggestions import explained
+from uwirl.config.schema import SearchConfig
+
+
+def check_jobs(name: str, words: Sequence[str], config_dir: str | None = None) -> None:
+    """Refuse names and types, which are those of every job of a sweep; a job that breaks a rule fails alone.
+
+    Args:
+        name: of the primary configuration, whose schema is registered.
+        words: the command line, with sweeps.
+        config_dir: a folder of the user's own files.
+
+    Raises:
+        ConfigError: the first of them.
+    """
+    words = [*space(name, words, config_dir), *words]
+    with searching(config_dir) as loader:
+        jobs = list(samples(words, loader))
+    for job in jobs:
+        composed(name, job, config_dir, ablation=False)
 
 
 def space(name: str, words: Sequence[str], config_dir: str | None = None) -> list[str]:
     """What the chosen sweeper varies or sets by itself, as words that may stand before those of the command line.
 
     Args:
-        name: of the primary configuration, whose schema is registered.
-        words: the command line; what it sets is not the sweeper's.
-        config_dir: a folder of the user's own files.
+        name, words, config_dir: as of `check_jobs`.
 
     Raises:
         ConfigError: the sweeper is not there or not installed, or a setting of it is impossible.
@@ -36,32 +50,14 @@ def space(name: str, words: Sequence[str], config_dir: str | None = None) -> lis
         setting = key.removeprefix("hydra.sweeper.params.")
         if setting != key:
             raise ConfigError(key, f"is for files; here write the setting itself, {setting}=VALUES")
-    with searching(config_dir):
-        try:
-            sweeper = hydra.compose(name, own, return_hydra_config=True).hydra.sweeper
-        except REFUSALS as error:
-            raise explained(error, own) from None
+    sweeper = composed(name, own, config_dir, whole=True).hydra.sweeper
     params = {str(key): f"{key}={value}" for key, value in (sweeper.get("params") or {}).items()}
     if "seeds" in sweeper:
-        check_search(sweeper)
+        given_numbers = {name: sweeper[name] for name in ("n_trials", "n_jobs")}
+        SearchConfig(seeds=list(sweeper.seeds), **given_numbers).check("hydra.sweeper")
         if "seed" in given or "seed" in params:
             raise ConfigError("seed", "of a search is set for each trial; choose with hydra.sweeper.seeds=[0,1,2]")
     return [word for key, word in params.items() if key not in given]
-
-
-def check_search(sweeper: DictConfig) -> None:
-    """Rules of the settings that every search has.
-
-    Raises:
-        ConfigError: the first that is broken.
-    """
-    seeds = list(sweeper.seeds)
-    if not seeds or len(set(seeds)) < len(seeds):
-        raise ConfigError("hydra.sweeper.seeds", f"needs one or more different seeds, got {seeds}")
-    for key in ("n_trials", "n_jobs"):
-        if sweeper[key] < 1:
-            raise ConfigError(f"hydra.sweeper.{key}", f"must be at least 1, got {sweeper[key]}")
-    one_of(sweeper.direction, "hydra.sweeper.direction", ("minimize", "maximize"))
 
 
 def samples(words: Sequence[str], loader: ConfigLoader) -> Iterator[list[str]]:

@@ -1,102 +1,221 @@
-"""Rules that a composed configuration must obey. Knows no torch: it answers before anything heavy is imported."""
+"""Rules that a composed configuration must obey. Knows no torch: it answers before anything heavy is imported.
+
+Rules of one section stand with its schema, those between sections here.
+"""
 
 from __future__ import annotations
 
-from uwirl.config.checks import ConfigError, named, one_of
-from uwirl.config.own import check_own
-from uwirl.config.planning_rules import check_cost, check_guidance, check_planner, check_safety, check_solver
-from uwirl.config.schema import (
-    Config,
-    EstimatorConfig,
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+from uwirl.config.checks import AXES, ConfigError, in_steps
+from uwirl.config.custom import check_targets
+from uwirl.config.estimate_schema import EstimateConfig
+from uwirl.config.motion_schema import (
+    BasisName,
+    EnergyGuardConfig,
     GeodesicConfig,
+    GuardConfig,
     IrlConfig,
-    LinkFrameBasisConfig,
-    OwnBasisConfig,
-    OwnEstimatorConfig,
+    PdConfig,
+    TrajectoryOptimizationConfig,
     VirtualLinksConfig,
 )
-from uwirl.config.world_rules import (
-    check_channel,
-    check_current,
-    check_detection,
-    check_layouts,
-    check_obstacles,
-    check_scenario,
-    check_vehicle,
-)
+from uwirl.config.schema import Config, InitPart
+from uwirl.config.world_schema import ScenarioConfig, VehicleConfig
 
-# Those of uwirl.snr.estimators, which needs torch; a test compares them.
-ESTIMATORS = ("least_squares", "generalized_least_squares", "separate", "maximum_likelihood", "disk", "oracle")
-LINK_FRAME, ERROR = ("link_frame", "geodesic"), ("error_quadratic", "error_velocity")
+# Of the real axis that classical RK4 integrates stably, |lambda dt| < 2.785.
+RK4_STABILITY = 2.785
+# Of all vehicles' route maps: 4 million nodes take about 2 GB while it is solved.
+MAX_NODES = 4_000_000
+# Below, the weakest damping that the bounds ask for would already ring under a control held for dt.
+LEAST_INERTIA_PER_S = (4.0, 4.0, 4.0, 3.0)
 
-__all__ = ["ConfigError", "validate"]
+__all__ = ["ConfigError", "validate", "validate_estimate"]
+
+# A key, and what is wrong with it. The first is raised, so what comes later may rely on it.
+Problems = Iterator[tuple[str, str]]
 
 
 def validate(config: Config) -> None:
-    """Check ranges and cross-field rules.
+    """Check what `uwirl` is to run: ranges and rules between settings, then classes of the user's own.
 
     Raises:
         ConfigError: the first rule that is broken.
     """
-    check_scenario(config.scenario)
-    check_channel(config.channel)
-    check_vehicle(config.vehicle, config.scenario.dt_s)
-    check_layouts(config.scenario)
-    check_current(config.scenario, config.vehicle)
-    check_estimator(config.estimator)
-    check_basis(config)
-    check_cost(config.cost)
-    check_safety(config.safety, config)
-    check_obstacles(config.scenario, config.safety)
-    check_detection(config.scenario, config.vehicle, config.safety)
-    check_guidance(config.guidance, config.scenario)
-    check_solver(config.solver)
-    check_planner(config.planner, "planner", config)
-    check_planner(config.baseline, "baseline", config)
-    check_start(config)
-    if config.threads < 1:
-        raise ConfigError("threads", f"must be at least 1, got {config.threads}")
-    if not 0 <= config.seed < 2**63:
-        raise ConfigError("seed", f"must lie in [0, 2^63), got {config.seed}")
-    one_of(config.device.split(":")[0], "device", ("cpu", "cuda", "mps"))
-    one_of(config.dtype, "dtype", ("float64", "float32"))
+    learns = isinstance(config.planner, IrlConfig) or isinstance(config.baseline, IrlConfig)
+    # Only a learner needs experience.
+    checked = config if learns else replace(config, experience=None)  # type: ignore[arg-type]
+    checked.check("")
+    families = (
+        _world(config),
+        _guard(config),
+        _obstacles(config),
+        _guidance(config),
+        _planner("planner", config.planner, config),
+        _planner("baseline", config.baseline, config),
+        _geodesic_basis(config),
+        _start(config),
+    )
+    for key, problem in (found for problems in families for found in problems):
+        raise ConfigError(key, problem)
     # Last, because it imports what it checks.
-    check_own(config)
+    check_targets(config)
 
 
-def check_estimator(estimator: EstimatorConfig) -> None:
-    if not isinstance(estimator, OwnEstimatorConfig):
-        one_of(estimator.name, "estimator.name", ESTIMATORS)
+def validate_estimate(config: EstimateConfig) -> None:
+    """Check what `uwirl-estimate` is to run: ranges, rules between settings, and that the log is a file.
+
+    Raises:
+        ConfigError: the first rule that is broken.
+    """
+    config.check("")
+    check_targets(config)
 
 
-def check_basis(config: Config) -> None:
-    basis = config.basis
-    if isinstance(basis, OwnBasisConfig):
+def _world(config: Config) -> Problems:
+    """A step that integrates the vehicle stably, a current that it holds against, obstacles seen in time."""
+    scenario, vehicle, safety = config.scenario, config.vehicle, config.safety
+    rigid = [vehicle.mass_kg] * 3 + [vehicle.yaw_inertia]
+    drag = zip(vehicle.linear_damping, vehicle.quadratic_damping, vehicle.tau_max, strict=True)
+    for axis, r, added, (linear, quadratic, limit) in zip(AXES, rigid, vehicle.added_mass, drag, strict=True):
+        # Damping at terminal speed under full thrust: d/dv (linear v + quadratic v^2).
+        rate = math.sqrt(linear**2 + 4.0 * quadratic * limit) / (r + added)
+        if rate * scenario.dt_s > RK4_STABILITY:
+            damped = f"{axis} is damped at {rate:.3g} 1/s at full thrust"
+            problem = f"cannot be integrated stably: {damped}, so dt_s must stay below {RK4_STABILITY / rate:.3g} s"
+            yield "scenario.dt_s", f"{scenario.dt_s:g} s {problem}"
+    force = current_drag_N(scenario, vehicle)
+    if force >= min(vehicle.tau_max[:3]):
+        yield "scenario.current_mps", f"drags with up to {force:.3g} N, more than vehicle.tau_max can hold against"
+    if isinstance(safety, EnergyGuardConfig):
+        speed = _top_speed(scenario, vehicle)
+        braking = safety.mass_upper_kg * speed**2 / (2.0 * safety.brake_force_N)
+        need = safety.margin_m + speed * scenario.dt_s + braking
+        if scenario.detection_range_m < need:
+            problem = f"is less than the {need:.3g} m in which {speed:.3g} m/s is braked"
+            yield "scenario.detection_range_m", f"{scenario.detection_range_m:g} m {problem}"
+
+
+def current_speed(scenario: ScenarioConfig) -> float:
+    """Largest, m/s, the Gauss-Markov part taken at three standard deviations."""
+    layouts = scenario.layouts.current_mps if scenario.layouts else 0.0
+    return math.hypot(*scenario.current_mps) + layouts + 3.0 * scenario.current_std_mps
+
+
+def current_drag_N(scenario: ScenarioConfig, vehicle: VehicleConfig) -> float:
+    """Largest drag of the current on a resting vehicle, N."""
+    speed = current_speed(scenario)
+    damping = zip(vehicle.linear_damping[:3], vehicle.quadratic_damping[:3], strict=True)
+    return max(linear * speed + quadratic * speed**2 for linear, quadratic in damping)
+
+
+def _top_speed(scenario: ScenarioConfig, vehicle: VehicleConfig) -> float:
+    """At which a vehicle and an obstacle may meet, m/s: terminal speed of full thrust, current and drift added."""
+    linear, quadratic = min(vehicle.linear_damping[:2]), min(vehicle.quadratic_damping[:2])
+    thrust = math.hypot(*vehicle.tau_max[:2])
+    speed = (math.sqrt(linear**2 + 4.0 * quadratic * thrust) - linear) / (2.0 * quadratic)
+    drift = max((math.hypot(*obstacle.velocity_mps) for obstacle in scenario.obstacles), default=0.0)
+    return speed + current_speed(scenario) + drift
+
+
+def _guard(config: Config) -> Problems:
+    """Vehicles apart at the start; and what weight and current leave of the thrust must suffice for braking."""
+    scenario, vehicle, safety = config.scenario, config.vehicle, config.safety
+    if not isinstance(safety, GuardConfig):
         return
-    here = LINK_FRAME if isinstance(basis, LinkFrameBasisConfig) else ERROR
-    named(basis.name, "basis.name", (*LINK_FRAME, *ERROR), here)
-    if isinstance(basis, LinkFrameBasisConfig):
-        scales = basis.length_scales_m
-        if not scales or any(not L > 0.0 for L in scales) or len(set(scales)) < len(scales):
-            raise ConfigError("basis.length_scales_m", f"needs one or more different positive lengths, got {scales}")
-    if basis.name == "geodesic" and isinstance(config.planner, IrlConfig):
+    for (i, one), (j, other) in combinations(enumerate(scenario.start), 2):
+        if math.dist(one[:3], other[:3]) < safety.separation_m:
+            problem = f"is closer than safety.separation_m = {safety.separation_m:g} m to vehicle {i}"
+            yield f"scenario.start[{j}]", problem
+    if isinstance(safety, EnergyGuardConfig):
+        thrust = min(vehicle.tau_max[:2])
+        if len(scenario.start) > 1:
+            thrust = min(thrust, vehicle.tau_max[2] - abs(vehicle.weight_N - vehicle.buoyancy_N))
+        thrust -= current_drag_N(scenario, vehicle)
+        if safety.brake_force_N > thrust:
+            left = "of vehicle.tau_max that weight and current leave for braking"
+            yield "safety.brake_force_N", f"exceeds the {thrust:.3g} N {left}"
+
+
+def _obstacles(config: Config) -> Problems:
+    """Neither on a start nor on a target, with the guard's margin."""
+    scenario = config.scenario
+    margin = config.safety.margin_m if isinstance(config.safety, GuardConfig) else 0.0
+    occupied = {f"the start of vehicle {i}": eta for i, eta in enumerate(scenario.start)}
+    hops = len(scenario.start) + 1
+    for i in range(1, hops):
+        ends = zip(scenario.source_m, scenario.destination_m, strict=True)
+        occupied[f"the target of vehicle {i - 1}"] = [a + i / hops * (b - a) for a, b in ends]
+    for i, obstacle in enumerate(scenario.obstacles):
+        for name, position in occupied.items():
+            gap = math.dist(position[:2], obstacle.center_m) - obstacle.radius_m - scenario.vehicle_radius_m
+            if gap < margin:
+                problem = f"leaves {gap:.3g} m to {name}, the guard needs {margin:g} m; move one of them"
+                yield f"scenario.obstacles[{i}]", problem
+
+
+def _guidance(config: Config) -> Problems:
+    """Maps that memory holds."""
+    guidance, scenario = config.guidance, config.scenario
+    if isinstance(guidance, GeodesicConfig):
+        places = [scenario.source_m, scenario.destination_m, *scenario.start, *(o.center_m for o in scenario.obstacles)]
+        sides = [max(p[axis] for p in places) - min(p[axis] for p in places) for axis in (0, 1)]
+        nodes = math.prod(side / guidance.spacing_m for side in sides) * len(scenario.start)
+        if nodes > MAX_NODES:
+            problem = f"makes maps of {nodes:,.0f} nodes, of which memory holds {MAX_NODES:,}; choose a larger one"
+            yield "guidance.spacing_m", problem
+
+
+def _planner(key: str, planner: Any, config: Config) -> Problems:
+    """Times in whole steps, and what else a planner needs of other sections."""
+    dt = config.scenario.dt_s
+    if isinstance(planner, (IrlConfig, PdConfig)):
+        problem = in_steps(planner.calibration_s, dt, least=4)
+        if problem:
+            yield f"{key}.calibration_s", problem
+    if isinstance(planner, TrajectoryOptimizationConfig):
+        for family in ("vehicle", "channel"):
+            section = getattr(config, family)
+            if section.target not in (None, type(section).target):
+                yield f"{key}.name", f"plans with the equations of uwirl's own {family}, not of {family}.target"
+    if isinstance(planner, IrlConfig):
+        yield from _learner(key, planner, config)
+
+
+def _learner(key: str, planner: IrlConfig, config: Config) -> Problems:
+    dt, experience = config.scenario.dt_s, config.experience
+    window = round(planner.window_s / dt)
+    times = [(f"{key}.window_s", planner.window_s, 2), (f"{key}.stride_s", planner.stride_s, 1)]
+    for name, seconds, least in (*times, ("experience.leg_s", experience.leg_s, 1)):
+        problem = in_steps(seconds, dt, least)
+        if problem:
+            yield name, problem
+    if window % 2:
+        problem = f"must be an even number of steps for Simpson's rule, got {window} x {dt:g} s"
+        yield f"{key}.window_s", problem
+    for axis, inertia, share in zip(AXES, planner.inertia_lower, LEAST_INERTIA_PER_S, strict=True):
+        if inertia < share * dt:
+            yield f"{key}.inertia_lower", f"{axis} must be at least {share * dt:.3g}, got {inertia:g}"
+    if experience.leg_s < planner.window_s:
+        yield "experience.leg_s", f"{experience.leg_s:g} s is shorter than planner.window_s"
+    if planner.max_time_s < planner.calibration_s + experience.leg_s:
+        yield f"{key}.max_time_s", f"{planner.max_time_s:g} s is shorter than the calibration hover and one leg"
+
+
+def _geodesic_basis(config: Config) -> Problems:
+    if config.basis.name == BasisName.geodesic and isinstance(config.planner, IrlConfig):
         if not isinstance(config.guidance, GeodesicConfig):
-            raise ConfigError("guidance.name", "basis=geodesic learns how to fly with guidance=geodesic")
+            yield "guidance.name", "basis=geodesic learns how to fly with guidance=geodesic"
         if isinstance(config.experience, VirtualLinksConfig) and config.experience.relabel:
-            raise ConfigError("experience.relabel", "must be 0 with basis=geodesic: another link needs another map")
+            yield "experience.relabel", "must be 0 with basis=geodesic: another link needs another map"
 
 
-def check_start(config: Config) -> None:
-    """Where a run starts from, and how often it is saved."""
-    if config.checkpoint.every < 1:
-        raise ConfigError("checkpoint.every", f"must be at least 1, got {config.checkpoint.every}")
-    for key in ("resume", "init_from"):
-        if getattr(config, key) == "":
-            raise ConfigError(key, "names no checkpoint; give a file or a run folder")
-    parts = config.init_from_parts
-    for part in parts:
-        one_of(part, "init_from_parts", ("estimate", "weights"))
-    if not parts or len(set(parts)) < len(parts):
-        raise ConfigError("init_from_parts", f"needs one or both of estimate, weights, got {parts}")
-    if config.init_from is not None and "weights" in parts and not isinstance(config.planner, IrlConfig):
-        raise ConfigError("init_from_parts", f"planner={config.planner.name} has no weights; choose [estimate]")
+def _start(config: Config) -> Problems:
+    """What is taken over must be of use."""
+    weights = InitPart.weights in config.init_from_parts and config.init_from is not None
+    if weights and not isinstance(config.planner, IrlConfig):
+        yield "init_from_parts", f"planner={config.planner.name} has no weights; choose [estimate]"

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from uwirl.motion.avoidance import Avoidance, smooth
+from uwirl.motion.avoidance import Avoidance, Printed, remark_2, smooth
 from uwirl.world.acoustics import Channel
 from uwirl.world.obstacles import Obstacles
 
@@ -38,6 +38,24 @@ class CostWeights:
     yaw_weight: float = 0.01
     R: Sequence[float] = (0.1, 0.08, 1.0, 1.2)
     avoidance: Avoidance = smooth
+
+
+@dataclass(frozen=True)
+class PrintedCostWeights(CostWeights):
+    """cost=paper: the avoidance term as printed, with Remark 2's constants.
+
+    Attributes:
+        left_m, right_m, kappa_1, kappa_2: see `remark_2`.
+    """
+
+    left_m: float = 5.9
+    right_m: float = 6.5
+    kappa_1: float = 0.9
+    kappa_2: float = 0.1
+
+    def __post_init__(self) -> None:
+        constants = remark_2(self.left_m, self.right_m, self.kappa_1, self.kappa_2)
+        object.__setattr__(self, "avoidance", Printed(*constants))
 
 
 class RelayCost:

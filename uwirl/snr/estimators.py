@@ -6,17 +6,16 @@ Each takes B data sets read at the same places, of which any readings may be mis
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
-from uwirl.snr import likelihood
+from uwirl.snr import likelihood, model
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.information import Derivatives
 from uwirl.snr.likelihood import MAX_ENTRIES, ordinary
-from uwirl.snr.model import Fading, Geometry, Spectrum, generalized_least_squares, observations
+from uwirl.snr.model import Fading, Geometry, Spectrum, observations
 from uwirl.snr.moments import moment_fit
 from uwirl.world.acoustics import Channel, LinkBudget
 from uwirl.world.readings import Readings, readings_of_each_vehicle
@@ -131,7 +130,7 @@ def _refined(y: Tensor, geometry: Geometry, fading: Fading) -> tuple[Tensor, Ten
     """theta [b, 2] by generalized least squares with this fading, and its covariance."""
     spectrum = Spectrum.of(geometry, fading.varphi)
     W = 1.0 / (fading.zeta2[:, None, None] * spectrum.eigenvalues + fading.rho2[:, None, None])
-    theta, information, _ = generalized_least_squares(spectrum.rotate(y), spectrum.rotate_design(geometry.H), W)
+    theta, information, _ = model.generalized_least_squares(spectrum.rotate(y), spectrum.rotate_design(geometry.H), W)
     return theta, torch.linalg.inv(information)
 
 
@@ -182,36 +181,25 @@ def disk(readings: Readings, budget: LinkBudget) -> ChannelEstimate:
     return estimate
 
 
-@dataclass(frozen=True)
-class Oracle:
-    """The truth, for ablations: the only estimator that is told it.
-
-    Attributes:
-        channel: the true one.
-    """
-
-    channel: Channel
-
-    def __call__(self, readings: Readings, budget: LinkBudget) -> ChannelEstimate:
-        """The same for every data set."""
-        channel = self.channel
-        truth = [channel.K_dB, channel.n, channel.zeta_dB**2, channel.varphi_m, channel.rho_dB**2]
-        value = torch.tensor(truth, dtype=torch.float64, device=readings.snr.device).repeat(len(readings.snr), 1)
-        nothing = torch.zeros_like(value[:, 0])
-        return ChannelEstimate(budget, value, value.new_zeros(len(value), 5, 5), value > -torch.inf, nothing, 0)
+def oracle(readings: Readings, budget: LinkBudget, channel: Channel) -> ChannelEstimate:
+    """The truth, for ablations: the only estimator that is told it, as `channel`."""
+    truth = [channel.K_dB, channel.n, channel.zeta_dB**2, channel.varphi_m, channel.rho_dB**2]
+    value = torch.tensor(truth, dtype=torch.float64, device=readings.snr.device).repeat(len(readings.snr), 1)
+    nothing = torch.zeros_like(value[:, 0])
+    return ChannelEstimate(budget, value, value.new_zeros(len(value), 5, 5), value > -torch.inf, nothing, 0)
 
 
 # Ordinary least squares, then moments: [29].
 least_squares = _estimator(_least_squares)
 # One more step: theta again, with the fading that the moments gave.
-generalized_least_squares_once = _estimator(lambda y, geometry: _alternating(y, geometry, 1))
+generalized_least_squares = _estimator(lambda y, geometry: _alternating(y, geometry, 1))
 # The three phases of [42], which the paper improves on: path loss, then fading, and both in turn until they settle.
 separate = _estimator(lambda y, geometry: _alternating(y, geometry, ROUNDS))
 maximum_likelihood = _estimator(_maximum_likelihood)
 
 ESTIMATORS: dict[str, Estimator] = {
     "least_squares": least_squares,
-    "generalized_least_squares": generalized_least_squares_once,
+    "generalized_least_squares": generalized_least_squares,
     "separate": separate,
     "maximum_likelihood": maximum_likelihood,
     "disk": disk,

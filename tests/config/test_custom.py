@@ -12,12 +12,13 @@ import pytest
 
 from uwirl.config.checks import ConfigError
 from uwirl.config.compose import compose
-from uwirl.config.own import FAMILIES, misfit
+from uwirl.config.custom import FAMILIES, misfit
 from uwirl.config.validate import validate
 from uwirl.study.run_folder import config_hash
 
 MODULE = """
 from uwirl.motion.planner import Planner
+from uwirl.world.acoustics import Channel
 from uwirl.world.vehicle import Vehicle
 
 class Whole:
@@ -33,6 +34,8 @@ class Anything(Whole):
 class Ours(Vehicle):
     def __init__(self, dead_zone=0.0, **parameters):
         super().__init__(**parameters)
+
+class Modem(Channel): ...
 
 class Stub(Planner): ...
 
@@ -61,9 +64,10 @@ def reader(readings): ...
 
 number = 3
 """
-PLANNER = "planner=own planner.target=mine."
-ESTIMATOR = "estimator=own estimator.target=mine."
+PLANNER = "planner=custom planner.target=mine."
+ESTIMATOR = "estimator=custom estimator.target=mine."
 REFUSED = [
+    ("planner=custom", "planner.target", "names no class of yours; give package.module.Class"),
     ("planner=own", "planner.target", "names no class of yours; give package.module.Class"),
     ("planner=own planner.target=Whole", "planner.target", "must be package.module.Class, got 'Whole'"),
     ("planner=own planner.target=mine.", "planner.target", "must be package.module.Class"),
@@ -84,7 +88,9 @@ REFUSED = [
     (f"{PLANNER}Whole +planner.settings.x=2", "planner.settings.x", "mine.Whole takes gain"),
     (f"{PLANNER}Whole planner.settings.gain=2", "planner.settings.gain", "add it with a +"),
     (f"{PLANNER}Whole planner.calibration_s=2", "planner.calibration_s", "only with planner=irl or planner=pd"),
-    ("planner.target=mine.Whole", "planner.target", "only with planner=own"),
+    ("planner.target=mine.Whole", "planner.target", "only with planner=custom"),
+    ("baseline.target=mine.Whole", "baseline.target", "only with planner@baseline=custom"),
+    ("solver.target=mine.Whole", "solver.target", "is a class of yours, which stands in channel, vehicle, estimator,"),
     ("planner@baseline=own baseline.target=mine.Short", "baseline.target", "cannot be called so"),
     (f"{ESTIMATOR}Nothing", "estimator.target", "it has no __call__(readings, known)"),
     (f"{ESTIMATOR}number", "estimator.target", "is no class and no function"),
@@ -104,17 +110,17 @@ REFUSED = [
     ("planner=own planner.target=leaving.X", "planner.target", "leaving cannot be imported: SystemExit: 0"),
     ("channel.target=mine.Nothing", "channel.target", "is no uwirl.world.acoustics.Channel: it must be a subclass"),
     (
-        "vehicle.target=uwirl.world.vehicle.Vehicle +vehicle.settings.mass_kg=2",
+        "vehicle.target=mine.Ours +vehicle.settings.mass_kg=2",
         "vehicle.settings.mass_kg",
         "is no setting of the class alone; set mass_kg outside settings",
     ),
     (
-        "planner=trajectory_optimization vehicle.target=uwirl.world.vehicle.Vehicle",
+        "planner=trajectory_optimization vehicle.target=mine.Ours",
         "planner.name",
         "plans with the equations of uwirl's own vehicle",
     ),
     (
-        "planner@baseline=trajectory_optimization channel.target=uwirl.world.acoustics.Channel",
+        "planner@baseline=trajectory_optimization channel.target=mine.Modem",
         "baseline.name",
         "plans with the equations of uwirl's own channel",
     ),
@@ -130,7 +136,13 @@ ACCEPTED = [
     "vehicle.target=uwirl.world.vehicle.Vehicle",
     "vehicle.target=mine.Ours +vehicle.settings.dead_zone=2",
     "channel.target=uwirl.world.acoustics.Channel",
+    "channel.target=mine.Modem",
+    "vehicle.target=null",
+    "planner=own planner.target=mine.Whole",
 ]
+
+
+PROTOCOLS = {schema.family: family.protocol for schema, family in FAMILIES.items()}
 
 
 @pytest.fixture(autouse=True)
@@ -174,7 +186,7 @@ def test_what_fits_is_accepted(overrides):
     ],
 )
 def test_what_is_ours_is_one_of_its_family(key, path):
-    assert misfit(pkgutil.resolve_name(path), pkgutil.resolve_name(FAMILIES[key].protocol)) is None
+    assert misfit(pkgutil.resolve_name(path), pkgutil.resolve_name(PROTOCOLS[key])) is None
 
 
 def test_the_hash_covers_class_and_settings():

@@ -8,18 +8,15 @@ from __future__ import annotations
 import inspect
 import pkgutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from uwirl.config.catalogue import field_types
-from uwirl.config.channel_schema import ChannelParameters
-from uwirl.config.checks import ConfigError
-from uwirl.config.own_schema import OwnConfig
-from uwirl.config.schema import VehicleParameters
-from uwirl.config.suggestions import did_you_mean, first_line, listed, similar
+from uwirl.config.checks import ConfigError, MadeConfig
+from uwirl.config.schema import OURS, BasisConfig, ChannelConfig, EstimatorConfig, PlannerConfig, VehicleConfig
+from uwirl.config.suggestions import did_you_mean, listed, similar
 
 
 @dataclass(frozen=True)
@@ -28,7 +25,7 @@ class Family:
 
     Attributes:
         protocol: dotted path of the Protocol, or of the class that it must extend.
-        given: what it is made from besides its settings, by position.
+        given: what it is made from besides the section, by position.
         named: what besides, by name.
         calls: what a function gets that is one of the family by itself; empty where only objects are.
     """
@@ -39,38 +36,45 @@ class Family:
     calls: tuple[str, ...] = ()
 
 
-PLANNER = Family("uwirl.motion.planner.Planner")
-# By section.
-FAMILIES = {
-    "channel": Family("uwirl.world.acoustics.Channel", named=tuple(field_types(ChannelParameters))),
-    "vehicle": Family("uwirl.world.vehicle.Dynamics", named=(*field_types(VehicleParameters), "dtype", "device")),
-    "estimator": Family("uwirl.snr.estimators.Estimator", calls=("readings", "known")),
-    "basis": Family("uwirl.motion.features.MotionBasis", given=("cost",)),
-    "planner": PLANNER,
-    "baseline": PLANNER,
+# By the schemas whose sections may be of any class; all others have settings of uwirl's own.
+FAMILIES: dict[type[MadeConfig], Family] = {
+    ChannelConfig: Family("uwirl.world.acoustics.LinkBudget"),
+    VehicleConfig: Family("uwirl.world.vehicle.Dynamics", named=("dtype", "device")),
+    EstimatorConfig: Family("uwirl.snr.estimators.Estimator", calls=("readings", "budget")),
+    BasisConfig: Family("uwirl.motion.features.MotionBasis", given=("cost",)),
+    PlannerConfig: Family("uwirl.motion.planner.Planner"),
 }
-# Of these, uwirl's own need no name.
-UNNAMED = ("channel", "vehicle")
 
 
-def check_own(config: Any) -> None:
-    """Whether every target of a configuration can be imported, does what its family must, and takes its settings.
+def check_targets(config: Any) -> None:
+    """Whether every class of the user's own can be imported, does what its family must, and takes its settings.
 
     Raises:
         ConfigError: the first that does not.
     """
-    for key, family in FAMILIES.items():
-        section = getattr(config, key, None)
-        if isinstance(section, OwnConfig):
-            if section.target is not None:
-                _check(section, section.target, key, family)
-            elif key not in UNNAMED:
-                raise ConfigError(f"{key}.target", "names no class of yours; give package.module.Class")
-            elif section.settings:
-                raise ConfigError(f"{key}.settings", f"are those of {key}.target, which names no class of yours")
+    for key, section in vars(config).items():
+        if not isinstance(section, MadeConfig):
+            continue
+        target, family = section.target or type(section).target, FAMILIES.get(type(section))
+        if family is not None and target is None:
+            raise ConfigError(f"{key}.target", "names no class of yours; give package.module.Class")
+        if family is not None and target not in (type(section).target, OURS + getattr(section, "name", "")):
+            _check(section, str(target), key, family)
+        elif not (target or "uwirl.").startswith("uwirl."):
+            raise ConfigError(f"{key}.target", f"is a class of yours, which stands {_place(section, key)}")
+        elif section.settings:
+            raise ConfigError(f"{key}.settings", f"are those of {key}.target, which names no class of yours")
 
 
-def _check(section: OwnConfig, path: str, key: str, family: Family) -> None:
+def _place(section: MadeConfig, key: str) -> str:
+    """Where a class of one's own may stand instead."""
+    if any(schema.family == section.family for schema in FAMILIES):
+        group = section.family if key == section.family else f"{section.family}@{key}"
+        return f"only with {group}=custom, or in a file without a schema"
+    return f"in {', '.join(schema.family for schema in FAMILIES)} only"
+
+
+def _check(section: MadeConfig, path: str, key: str, family: Family) -> None:
     target, given = found(path, f"{key}.target"), family.given
     if isinstance(target, type):
         problem = misfit(target, pkgutil.resolve_name(family.protocol))
@@ -80,7 +84,7 @@ def _check(section: OwnConfig, path: str, key: str, family: Family) -> None:
         given = family.calls
     else:
         raise ConfigError(f"{key}.target", f"{path} is no class{' and no function' if family.calls else ''}")
-    _check_settings(target, section, key, given, family.named)
+    _check_settings(target, section, key, given, (*section.values(), *family.named))
 
 
 def found(path: str, key: str) -> Any:
@@ -101,7 +105,7 @@ def found(path: str, key: str) -> Any:
         if isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{error.name}."):
             problem = f"no module {error.name!r}, neither installed nor in {Path.cwd()} nor on PYTHONPATH"
         else:
-            problem = f"{module} cannot be imported: {type(error).__name__}: {first_line(error)}"
+            problem = f"{module} cannot be imported: {type(error).__name__}: {' '.join(str(error).split())}"
         raise ConfigError(key, problem) from error
     if not hasattr(holder, name):
         near = [f"{module}.{other}" for other in similar(name, vars(holder))]
@@ -148,26 +152,26 @@ def _is_protocol(protocol: type) -> bool:
 
 
 def _check_settings(
-    target: Callable[..., Any], config: OwnConfig, key: str, given: tuple[str, ...], named: tuple[str, ...]
+    target: Callable[..., Any], section: MadeConfig, key: str, given: Sequence[str], named: Sequence[str]
 ) -> None:
     try:
         signature = inspect.signature(target)
     except ValueError:
-        raise ConfigError(f"{key}.target", f"{config.target} does not tell what it takes") from None
+        raise ConfigError(f"{key}.target", f"{section.target} does not tell what it takes") from None
     names, anything = taken(target)
     own = [name for name in names[len(given) :] if name not in named]
-    for name in config.settings:
+    for name in section.settings:
+        setting = f"{key}.settings.{name}"
         if name in named:
-            raise ConfigError(
-                f"{key}.settings.{name}", f"is no setting of the class alone; set {name} outside settings"
-            )
+            raise ConfigError(setting, f"is no setting of the class alone; set {name} outside settings")
         if not (anything or name in own):
             near = did_you_mean([f"{key}.settings.{other}" for other in similar(name, own)])
-            raise ConfigError(f"{key}.settings.{name}", f"{config.target} takes {listed(own) or 'no settings'}{near}")
+            raise ConfigError(setting, f"{section.target} takes {listed(own) or 'no settings'}{near}")
     try:
-        signature.bind(*given, **dict.fromkeys(named), **config.settings)
+        signature.bind(*given, **dict.fromkeys(named), **section.settings)
     except TypeError as error:
-        raise ConfigError(f"{key}.settings", f"{config.target} cannot be made of {config.settings}: {error}") from None
+        problem = f"{section.target} cannot be made of {section.settings}: {error}"
+        raise ConfigError(f"{key}.settings", problem) from None
 
 
 def taken(target: Callable[..., Any]) -> tuple[list[str], bool]:

@@ -1,1 +1,0 @@
-"""Objects from settings, by what they are for; `uwirl.build` is their face."""
