@@ -18,7 +18,7 @@ MakePair = Callable[..., Relay]
 
 @pytest.fixture
 def make_pair(make_relay) -> MakePair:
-    """make_pair("channel=paper", ..., worlds=5, depth=12.0, ...): overrides by name, fields of the scenario by value."""
+    """make_pair("channel=paper", ..., worlds=5, depth=12.0): overrides, then fields of the scenario by value."""
 
     def made(*overrides: str, worlds: int = WORLDS, **fields: Any) -> Relay:
         env = make_relay(START, *overrides, streams=RandomStreams.worlds(11, worlds))

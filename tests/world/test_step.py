@@ -1,4 +1,4 @@
-"""The world as a pure function of its state: step by step, stopped and continued, worlds at different steps, bad input."""
+"""The world as a pure function of its state: step by step, stopped and continued, worlds apart, bad input."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def test_many_flights_in_one_world_share_its_water_and_its_noise(make_pair):
 
 def test_worlds_at_different_steps_make_no_trajectory(env: Relay):
     state = env.start()._replace(step=torch.tensor([3, 3, 4, 3, 3]))
-    with pytest.raises(ValueError, match="^worlds at different steps, 3 to 4, make no one trajectory$"):
+    with pytest.raises(ValueError, match=r"^worlds at different steps, 3 to 4, make no one trajectory$"):
         env.rollout(Remembering(), state, 5)
 
 
