@@ -6,6 +6,7 @@ import math
 from dataclasses import fields, replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -16,7 +17,9 @@ from uwirl.snr.estimators import maximum_likelihood
 from uwirl.world.acoustics import Channel, LinkBudget
 from uwirl.world.agent import Agent
 from uwirl.world.messages import Readings
+from uwirl.world.random import RandomStreams
 from uwirl.world.relay import Relay
+from uwirl.world.scenario import spread_sensors
 from uwirl.world.truth import Truth, truth_of
 
 SOURCE, DESTINATION = [-30.0, -30.0, -8.0], [30.0, 30.0, -8.0]
@@ -92,6 +95,22 @@ def test_a_link_has_the_same_shadowing_whenever_it_is_read(env: Relay, shadowed:
 def test_without_shadowing_capacities_are_the_mean(env: Relay, position: Tensor):
     still = faded(env, zeta_dB=0.0)
     assert torch.equal(still.link_capacities_kbps(position, shadowed=True), still.link_capacities_kbps(position))
+
+
+def test_snr_of_links_by_hand(make_relay):
+    """K - 10 n log10(l) - a l / 1000 - N0 and the first world's field; links of a chain, and so its capacities."""
+    env = make_relay("channel=acoustic_24khz", streams=RandomStreams.worlds(4, 3))
+    q = spread_sensors(20, 5, SOURCE, DESTINATION, torch.float64)
+    alone, capacity = truth_of(env.select(torch.tensor([0]))), []
+    for node in (SOURCE, DESTINATION):
+        p = tensor(node).expand_as(q)
+        lengths = np.linalg.norm(p.numpy() - q.numpy(), axis=-1)
+        mean = -60.0 - 20.0 * np.log10(lengths) - env.budget.absorption_dB_per_km * lengths / 1000.0 + 104.0
+        snr, fading = truth_of(env).snr_dB(p, q).numpy(), alone.shadowing(p[None], q[None])[0].numpy()
+        np.testing.assert_allclose(snr, mean + fading, rtol=0.0, atol=1e-10)
+        capacity.append(6.0 * np.log2(1.0 + 10.0 ** (snr / 10.0)))
+    links = alone.link_capacities_kbps(q[:, None, None], shadowed=True)[:, 0]
+    np.testing.assert_allclose(links, np.stack(capacity, -1), rtol=1e-10)
 
 
 def test_worlds_taken_out_and_other_worlds_have_the_same_channel(env: Relay):
