@@ -64,14 +64,14 @@ def resting(env: Relay) -> Agent:
 
 
 def test_cost_of_resting_is_the_running_cost_times_time(make_config, make_relay):
-    """A vehicle held at its start by its trim: every term is a constant times 80 s."""
-    env = make_relay()
+    """A vehicle held at its start by its trim: every term is a constant times 8 s."""
+    env = make_relay("scenario.duration_s=8")
     evaluator = Evaluator(env, build.make_cost(make_config().cost))
     evaluation = evaluator.fly(resting(env))
     cost = evaluator.mission.cost
     xi = evaluator.mission.targets.frame.relative(env.start().vehicles)
-    assert float(evaluation.cost_terms["link"][0]) == pytest.approx(80.0 * float(cost.link(xi)), rel=1e-9)
-    assert float(evaluation.cost_terms["vehicle"][0]) == pytest.approx(80.0 * float(cost.yaw(xi)), rel=1e-9)
+    assert float(evaluation.cost_terms["link"][0]) == pytest.approx(8.0 * float(cost.link(xi)), rel=1e-9)
+    assert float(evaluation.cost_terms["vehicle"][0]) == pytest.approx(8.0 * float(cost.yaw(xi)), rel=1e-9)
     assert float(evaluation.cost_terms["control"][0]) == 0.0
 
 
