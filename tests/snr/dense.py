@@ -40,7 +40,7 @@ def simulate(channel: Channel, sensors: int, messages: int = 1, sets: int = 1, s
 
 def geometry_of(readings: Readings, channel: Channel) -> Geometry:
     """Of data sets that all have the same readings."""
-    ((_, _, geometry),) = observations(readings, channel)
+    ((_, _, geometry),) = observations(readings, channel.budget)
     return geometry
 
 
@@ -62,7 +62,7 @@ class Dense:
         p, q, snr = readings.transmitters.numpy(), readings.receivers.numpy(), readings.snr[row].numpy()
         i, j = np.nonzero(~np.isnan(snr))
         lengths = torch.from_numpy(np.linalg.norm(p[i] - q[j], axis=-1))
-        return cls(p[i], q[j], snr[i, j] + channel.known_loss_dB(lengths).numpy())
+        return cls(p[i], q[j], snr[i, j] + channel.budget.known_loss_dB(lengths).numpy())
 
     @property
     def H(self) -> np.ndarray:

@@ -42,7 +42,7 @@ def pooled(estimator: Estimator, channel: Channel, sensors: int, messages: int, 
     bounds, claims = [], []
     for seed in range(layouts):
         readings = simulate(channel, sensors, messages, sets // layouts, seed)
-        estimate = estimator(readings, channel)
+        estimate = estimator(readings, channel.budget)
         least = cramer_rao_bound(geometry_of(readings, channel), Fading(*truth)).diagonal().sqrt()
         theta = estimate.theta - torch.tensor([channel.K_dB, channel.n], dtype=torch.float64)
         error = torch.cat([theta, estimate.value[:, 2:].log() - truth.log()], -1)

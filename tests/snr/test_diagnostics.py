@@ -12,11 +12,11 @@ from scipy import stats
 from uwirl.snr.diagnostics import diagnose
 from uwirl.snr.intervals import student_t
 from uwirl.snr.kriging import Kriging
-from uwirl.world.acoustics import Channel
+from uwirl.world.acoustics import Channel, LinkBudget
 from uwirl.world.fading import exact_shadowing
 from uwirl.world.readings import Readings
 
-TRUTH = Channel(-60.0, 2.0, -104.0, 6.0, "thorp", 24.0, zeta_dB=3.0, varphi_m=15.0, rho_dB=1.0)
+TRUTH = Channel(LinkBudget(-104.0, 6.0, "thorp", 24.0), -60.0, 2.0, zeta_dB=3.0, varphi_m=15.0, rho_dB=1.0)
 MESSAGES, SENSORS = 8, 25
 
 
@@ -42,7 +42,7 @@ def universal(readings: Readings) -> Kriging:
     omega = TRUTH.zeta_dB**2 * torch.exp(-apart / TRUTH.varphi_m) + TRUTH.rho_dB**2 * torch.eye(len(apart)).double()
     H = torch.stack([torch.ones_like(distance), -10.0 * torch.log10(distance)], -1)
     weighted = torch.linalg.solve(omega, H).mT
-    y = readings.snr[0][heard] + TRUTH.known_loss_dB(distance)
+    y = readings.snr[0][heard] + TRUTH.budget.known_loss_dB(distance)
     K, n = torch.linalg.solve(weighted @ H, weighted @ y)
     return Kriging(readings, replace(TRUTH, K_dB=K, n=n))
 
@@ -76,7 +76,7 @@ def test_a_sensor_is_judged_by_the_others():
 def test_path_loss_residuals_are_those_of_a_line_without_the_reading():
     readings = simulate()
     x = torch.log10(readings.distance).flatten().numpy()
-    y = (readings.snr[0] + TRUTH.known_loss_dB(readings.distance)).flatten().numpy()
+    y = (readings.snr[0] + TRUTH.budget.known_loss_dB(readings.distance)).flatten().numpy()
     line = stats.linregress(x[1:], y[1:])
     expected = y[0] - line.intercept - line.slope * x[0]
     assert float(diagnose(readings, TRUTH).path_loss[0]) == pytest.approx(expected, abs=1e-9)

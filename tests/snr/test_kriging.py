@@ -19,6 +19,7 @@ from uwirl.snr.kriging import Kriging
 from uwirl.world.acoustics import Channel
 from uwirl.world.readings import Readings, take_readings
 from uwirl.world.scenario import spread_sensors
+from uwirl.world.truth import truth_of
 
 # Where nobody listens.
 QUERIES = spread_sensors(50, 77, [-30.0, -30.0, -8.0], [30.0, 30.0, -8.0], torch.float64)
@@ -45,7 +46,7 @@ def dense_prediction(
     k = both.covariance(zeta2, varphi, 0.0)[m:, :m]
     omega, h = dense.covariance(zeta2, varphi, rho2), both.H[m:]
     weights = np.linalg.solve(omega, k.T).T
-    known = channel.known_loss_dB(torch.from_numpy(np.linalg.norm(p - q, axis=-1))).numpy()
+    known = channel.budget.known_loss_dB(torch.from_numpy(np.linalg.norm(p - q, axis=-1))).numpy()
     mean = h @ theta + weights @ (dense.y - dense.H @ theta) - known
     variance = zeta2 - (weights * k).sum(-1)
     if trend:
@@ -145,7 +146,7 @@ def test_chunks_equal_one_piece(acoustic: Channel, monkeypatch: pytest.MonkeyPat
 
 def test_an_estimate_will_do(acoustic: Channel):
     readings = simulate(acoustic, 40, 2)
-    estimated = maximum_likelihood(readings, acoustic).channel
+    estimated = maximum_likelihood(readings, acoustic.budget).channel
     numbers = {name: float(getattr(estimated, name)) for name in ("K_dB", "n", "zeta_dB", "varphi_m", "rho_dB")}
     node = readings.transmitters[0]
     own, std = Kriging(readings, estimated).predict(node, QUERIES)
@@ -160,7 +161,7 @@ def test_outage_is_a_normal_probability(channel: Channel):
     mean, std = (x.numpy() for x in prediction.predict(node, QUERIES))
     before = np.zeros(len(QUERIES))
     for capacity in (5.0, 20.0, 60.0, 100.0):
-        snr = 10.0 * np.log10(2.0 ** (capacity / channel.bandwidth_khz) - 1.0)
+        snr = 10.0 * np.log10(2.0 ** (capacity / channel.budget.bandwidth_khz) - 1.0)
         outage = prediction.outage(node, QUERIES, capacity).numpy()
         np.testing.assert_allclose(outage, stats.norm.cdf(snr, mean, std), rtol=1e-9, atol=1e-15)
         assert (outage >= before).all()
@@ -212,4 +213,5 @@ def test_one_link_twice_without_multipath_is_refused(acoustic: Channel):
 
 def test_python_numbers_keep_their_digits(make_relay):
     env = make_relay("channel=paper")
-    assert float(Kriging(take_readings(env), env.channel).varphi) == env.channel.varphi_m
+    channel = truth_of(env).channel
+    assert float(Kriging(take_readings(env), channel).varphi) == channel.varphi_m

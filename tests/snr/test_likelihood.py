@@ -41,7 +41,7 @@ def gapped(channel: Channel, sensors: int, messages: int) -> Readings:
 
 def residuals(readings: Readings, channel: Channel) -> Tensor:
     """Of ordinary least squares, [B, S, N]."""
-    y, H = readings.snr + channel.known_loss_dB(readings.distance), geometry_of(readings, channel).H
+    y, H = readings.snr + channel.budget.known_loss_dB(readings.distance), geometry_of(readings, channel).H
     return y - (H @ likelihood.ordinary(y, H)[:, None, :, None])[..., 0]
 
 
@@ -50,7 +50,7 @@ def residuals(readings: Readings, channel: Channel) -> Tensor:
 @pytest.mark.parametrize("name", FITTING)
 def test_cost_is_the_dense_likelihoods(name: str, channel: Channel, sensors: int, messages: int, gaps: bool):
     readings = (gapped if gaps else simulate)(channel, sensors, messages)
-    estimate = ESTIMATORS[name](readings, channel)
+    estimate = ESTIMATORS[name](readings, channel.budget)
     theta, fading = estimate.theta[0].numpy(), estimate.value[0, 2:].tolist()
     expected = Dense.of(readings, channel).cost(*fading, theta=theta)
     assert float(estimate.cost[0]) == pytest.approx(expected, abs=1e-6)
@@ -61,8 +61,8 @@ def test_cost_is_the_dense_likelihoods(name: str, channel: Channel, sensors: int
 def test_nothing_is_likelier(channel: Channel, sensors: int, messages: int, gaps: bool):
     """Neither the truth nor what any other estimator says."""
     readings = gapped(channel, sensors, messages) if gaps else simulate(channel, sensors, messages, SETS)
-    best = maximum_likelihood(readings, channel).cost.tolist()
-    others = [ESTIMATORS[name](readings, channel) for name in FITTING]
+    best = maximum_likelihood(readings, channel.budget).cost.tolist()
+    others = [ESTIMATORS[name](readings, channel.budget) for name in FITTING]
     for row in range(SETS):
         dense = Dense.of(readings, channel, row)
         candidates = [dense.cost(*estimate.value[row, 2:].tolist()) for estimate in others]
@@ -74,7 +74,7 @@ def test_nothing_is_likelier(channel: Channel, sensors: int, messages: int, gaps
 def test_scipy_cannot_improve_on_it(acoustic: Channel):
     """From there, and within the bounds of the search."""
     readings = simulate(acoustic, 30, 3, SETS)
-    estimate, residual = maximum_likelihood(readings, acoustic), residuals(readings, acoustic)
+    estimate, residual = maximum_likelihood(readings, acoustic.budget), residuals(readings, acoustic)
     low, high = likelihood._bounds(profile(residual, geometry_of(readings, acoustic)), residual)
     inside = 0
     for row in range(SETS):
@@ -102,7 +102,7 @@ def test_no_other_start_leads_higher(channel: Channel, sensors: int, messages: i
     residual, geometry = residuals(readings, channel), geometry_of(readings, channel)
     low, high = likelihood._bounds(profile(residual, geometry), residual)
     generator = torch.Generator().manual_seed(0)
-    best = maximum_likelihood(readings, channel).cost
+    best = maximum_likelihood(readings, channel.budget).cost
     for _ in range(12):
         start = low + (high - low) * torch.rand(sets, 3, generator=generator, dtype=torch.float64)
         _, point, _ = likelihood.score(residual, geometry, start, low, high)
@@ -115,7 +115,7 @@ def test_gradient_and_information(acoustic: Channel, sensors: int, messages: int
     readings = simulate(acoustic, sensors, messages)
     geometry, dense = geometry_of(readings, acoustic), Dense.of(readings, acoustic)
     x, h = np.log([5.0, 9.0, 0.7]), 1e-5
-    y = readings.snr + acoustic.known_loss_dB(readings.distance)
+    y = readings.snr + acoustic.budget.known_loss_dB(readings.distance)
     point = likelihood._evaluate(y, geometry, torch.from_numpy(x)[None])
     assert float(point.cost) == pytest.approx(dense.cost(*np.exp(x)), rel=1e-12)
     slope = [(dense.cost(*np.exp(x + h * e)) - dense.cost(*np.exp(x - h * e))) / (2.0 * h) for e in np.eye(3)]
@@ -210,7 +210,7 @@ def test_generalized_least_squares_is_numpys(acoustic: Channel):
     geometry, fading = geometry_of(readings, acoustic), tensors(5.0, 9.0, 0.7)
     spectrum = Spectrum.of(geometry, fading.varphi)
     W = 1.0 / (fading.zeta2 * spectrum.eigenvalues + fading.rho2)
-    y = readings.snr[0] + acoustic.known_loss_dB(readings.distance)
+    y = readings.snr[0] + acoustic.budget.known_loss_dB(readings.distance)
     theta, information, residual = generalized_least_squares(spectrum.rotate(y), spectrum.rotate_design(geometry.H), W)
     dense = Dense.of(readings, acoustic)
     expected, covariance = dense.theta(5.0, 9.0, 0.7)
@@ -223,11 +223,11 @@ def test_generalized_least_squares_is_numpys(acoustic: Channel):
 def test_scale_and_place_of_the_data_do_not_matter(acoustic: Channel):
     """Y -> 3 Y + H (20, 1): theta moves along, the powers grow ninefold, the correlation distance stays."""
     readings = simulate(acoustic, 20, 3, 3)
-    known = acoustic.known_loss_dB(readings.distance)
+    known = acoustic.budget.known_loss_dB(readings.distance)
     offset = torch.tensor([20.0, 1.0], dtype=torch.float64)
     shift = geometry_of(readings, acoustic).H @ offset
     moved = replace(readings, snr=3.0 * (readings.snr + known) + shift - known)
-    once, twice = maximum_likelihood(readings, acoustic), maximum_likelihood(moved, acoustic)
+    once, twice = maximum_likelihood(readings, acoustic.budget), maximum_likelihood(moved, acoustic.budget)
     torch.testing.assert_close(twice.theta, 3.0 * once.theta + offset, rtol=1e-6, atol=0.0)
     scale = torch.tensor([9.0, 1.0, 9.0], dtype=torch.float64)
     torch.testing.assert_close(twice.value[:, 2:], once.value[:, 2:] * scale, rtol=1e-4, atol=0.0)

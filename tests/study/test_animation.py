@@ -8,9 +8,8 @@ import torch
 from PIL import Image
 
 from uwirl import build
-from uwirl.motion.targets import mean_channel_targets
 from uwirl.study import animation
-from uwirl.study.evaluation import evaluate
+from uwirl.world.agent import Feedback
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.random import RandomStreams
 
@@ -23,12 +22,10 @@ def mission(make_config, make_relay):
     """Scenario and evaluation of a batch of worlds."""
 
     def fly(*overrides: str, worlds: int = 1):
-        config = make_config(*SHORT, *overrides)
         env = make_relay(*SHORT, *overrides, streams=RandomStreams.worlds(0, worlds))
-        targets = mean_channel_targets(env.scenario, env.channel)
-        cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
-        rest = env.vehicle.trim.expand(worlds, 2, 4)
-        return env.scenario, evaluate(env, lambda state, step: rest, cost, targets, env.reset())
+        resting = Feedback(lambda observation: env.vehicle.trim.expand_as(observation.eta))
+        evaluator = build.make_evaluator(make_config(*SHORT, *overrides, "safety=none"), env)
+        return env.scenario, evaluator.fly(resting)
 
     return fly
 

@@ -6,16 +6,15 @@ from dataclasses import replace
 import pytest
 import torch
 from scipy import stats
-from uwirl.runs.layouts import campaign
 
 from uwirl import build
-from uwirl.config.world_schema import LayoutKind
-from uwirl.motion.targets import mean_channel_targets
+from uwirl.config import world_rules
+from uwirl.runs.missions import campaign
 from uwirl.snr.estimators import oracle
 from uwirl.study.campaign import Outcomes, fly, upper_bound
-from uwirl.study.evaluation import evaluate
 from uwirl.world.layouts import KINDS
 from uwirl.world.readings import take_readings
+from uwirl.world.truth import truth_of
 
 SMALL = (
     "experiment=random_layouts",
@@ -24,7 +23,7 @@ SMALL = (
     "scenario.layouts.count=8",
     "scenario.layouts.seed=1",
     "scenario.layouts.kinds=[random,ring,ring,ring]",
-    "scenario.duration_s=60",
+    "scenario.duration_s=40",
     "logging.figures=false",
 )
 
@@ -41,7 +40,7 @@ def test_upper_bound_at_the_ends():
 
 
 def test_configuration_knows_the_kinds_of_layouts():
-    assert tuple(LayoutKind) == KINDS
+    assert world_rules.LAYOUT_KINDS == KINDS
 
 
 @pytest.fixture(scope="module")
@@ -49,23 +48,22 @@ def flown(make_config):
     config = make_config(*SMALL)
     env, layouts = build.make_layouts(config)
     training = build.make_relay(config)
-    truth = oracle(take_readings(training), training.channel)
+    truth = oracle(take_readings(training), training.budget, truth_of(training).channel)
     planner = build.make_planner(config, config.planner, training)
-    targets = mean_channel_targets(env.scenario, env.channel)
-    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
 
-    def policy_in(worlds):
-        return build.policy_in(worlds, config, planner, truth)
+    def agent_in(worlds):
+        return planner.fit(worlds, truth)
 
-    outcomes = fly(env, layouts, policy_in, cost, targets, build.make_guard(config), batch=3)
-    return config, env, layouts, policy_in, cost, targets, outcomes
+    evaluator = build.make_evaluator(config, env)
+    outcomes = fly(env, layouts, agent_in, evaluator, batch=5)
+    return config, env, layouts, agent_in, evaluator, outcomes
 
 
 def test_outcomes_are_those_of_single_missions(flown):
-    config, env, layouts, policy_in, cost, targets, outcomes = flown
+    _, env, layouts, agent_in, evaluator, outcomes = flown
     common = replace(env.scenario, start=layouts.start, obstacles=layouts.obstacles)
     one = env.on(common, env.streams).select(torch.tensor([4]))
-    alone = evaluate(one, policy_in(one), cost, targets, one.reset(), build.make_guard(config))
+    alone = evaluator.in_worlds(one).fly(agent_in(one))
     assert float(outcomes.cost[4]) == pytest.approx(float(alone.cost), rel=1e-9)
     assert float(outcomes.clearance[4]) == pytest.approx(float(alone.clearance.min()), rel=1e-9)
     assert float(outcomes.t99[4]) == (alone.time_to_99_percent() or math.inf)
@@ -95,8 +93,8 @@ def test_metrics_and_table_count_alike(flown):
 def test_the_app_leaves_every_layout_behind(flown, tmp_path):
     import numpy as np
 
-    config, _, layouts, policy_in, *_ = flown
-    metrics = campaign(config, policy_in, tmp_path)
+    config, _, layouts, agent_in, *_ = flown
+    metrics = campaign(config, agent_in, tmp_path)
     kept = np.load(tmp_path / "layouts.npz")
     assert kept["start"].shape == (8, 1, 4)
     assert (kept["kind"] == layouts.kind.numpy()).all()

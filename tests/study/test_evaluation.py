@@ -1,12 +1,19 @@
-"""Mission metrics against hand-made trajectories."""
+"""Missions: metrics of hand-made trajectories, and what flights are worth on the true channel."""
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
 
 import pytest
 import torch
 
 from uwirl import build
-from uwirl.motion.targets import mean_channel_targets
-from uwirl.study.evaluation import Evaluation, evaluate
-from uwirl.world.trajectory import Trajectory
+from uwirl.motion.cost import CostWeights
+from uwirl.study.evaluation import Evaluation, Evaluator
+from uwirl.world.agent import Agent, Feedback
+from uwirl.world.relay import Relay
+from uwirl.world.trajectory import Trajectory, WorldState
+from uwirl.world.truth import truth_of
 from uwirl.world.vehicle import VehicleState
 
 
@@ -23,7 +30,8 @@ def evaluation_of(capacity: list[float], optimum: float = 100.0, dt: float = 0.5
     clearance = torch.full((n + 1, 1, 1), 0.5)
     clearance[1] = -0.25
     blocked = torch.zeros(1, 1, dtype=torch.bool)
-    return Evaluation(Trajectory(components, tau, dt), links, optimum, clearance, blocked, cost)
+    end = WorldState.of(VehicleState(components[-1]), n)
+    return Evaluation(Trajectory(components, tau, dt, 0, end), links, optimum, clearance, blocked, cost)
 
 
 @pytest.mark.parametrize(
@@ -52,39 +60,95 @@ def test_metrics():
     assert metrics["final_position_m"] == [[4.0, 0.0, 0.0]]
 
 
+def resting(env: Relay) -> Agent:
+    return Feedback(lambda observation: env.vehicle.trim.expand_as(observation.eta))
+
+
 def test_cost_of_resting_is_the_running_cost_times_time(make_config, make_relay):
-    """A vehicle held at its start by its trim: every term is a constant times 80 s."""
-    config, env = make_config(), make_relay()
-    targets = mean_channel_targets(env.scenario, env.channel)
-    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
-    evaluation = evaluate(env, lambda state, step: env.vehicle.trim.expand(1, 1, 4), cost, targets, env.reset())
-    xi = targets.frame.relative(env.reset())
-    assert float(evaluation.cost_terms["link"][0]) == pytest.approx(80.0 * float(cost.link(xi)), rel=1e-9)
-    assert float(evaluation.cost_terms["vehicle"][0]) == pytest.approx(80.0 * float(cost.yaw(xi)), rel=1e-9)
+    """A vehicle held at its start by its trim: every term is a constant times 8 s."""
+    env = make_relay("scenario.duration_s=8")
+    evaluator = Evaluator(env, build.make_cost(make_config().cost))
+    evaluation = evaluator.fly(resting(env))
+    cost = evaluator.mission.cost
+    xi = evaluator.mission.targets.frame.relative(env.start().vehicles)
+    assert float(evaluation.cost_terms["link"][0]) == pytest.approx(8.0 * float(cost.link(xi)), rel=1e-9)
+    assert float(evaluation.cost_terms["vehicle"][0]) == pytest.approx(8.0 * float(cost.yaw(xi)), rel=1e-9)
     assert float(evaluation.cost_terms["control"][0]) == 0.0
 
 
 def test_worlds_are_evaluated_one_by_one(make_config, make_relay):
     config, env = make_config("scenario.duration_s=5"), make_relay("scenario.duration_s=5")
-    targets = mean_channel_targets(env.scenario, env.channel)
-    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
+    evaluator = Evaluator(env, build.make_cost(config.cost))
     eta = 5.0 * torch.randn(4, 1, 4, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    agent = Feedback(lambda observation: -3.0 * observation.eta)
+    together = evaluator.fly(agent, WorldState.of(VehicleState.from_eta_nu(eta))).cost
+    alone = [evaluator.fly(agent, WorldState.of(VehicleState.from_eta_nu(e[None]))).cost for e in eta]
+    torch.testing.assert_close(together, torch.cat(alone), rtol=1e-12, atol=0)
 
-    def policy(state, step):
-        return -3.0 * state.eta
 
-    together = evaluate(env, policy, cost, targets, VehicleState.from_eta_nu(eta)).cost
-    alone = torch.cat([evaluate(env, policy, cost, targets, VehicleState.from_eta_nu(e[None])).cost for e in eta])
-    torch.testing.assert_close(together, alone, rtol=1e-12, atol=0)
+def test_missions_are_judged_by_the_truth(make_config, make_relay):
+    """Not by what is believed: the same flight is worth what the links of the true channel carry."""
+    cost = build.make_cost(make_config().cost)
+    places = ([-30.0, -30.0, -8.0], [29.5, 29.5, 0.0], [30.0, 30.0, -8.0])
+    lengths = [math.dist(*ends) for ends in pairwise(places)]
+    for name in ("paper", "acoustic_24khz"):
+        env = make_relay(f"channel={name}", "scenario.duration_s=1")
+        evaluation = Evaluator(env, cost).fly(resting(env))
+        channel = truth_of(env).channel
+        *carried, best = channel.mean_capacity_kbps(
+            torch.tensor([*lengths, 30.0 * 2**0.5], dtype=torch.float64)
+        ).tolist()
+        assert evaluation.link_capacity[-1, 0].tolist() == pytest.approx(carried, rel=1e-12)
+        assert evaluation.optimal_capacity == pytest.approx(best, rel=1e-12)
+
+
+def test_a_guard_stands_before_the_thrusters(make_relay):
+    """It has the last word, and what it makes of the agent's tau is what counts as effort."""
+    env = make_relay("scenario.duration_s=1")
+    evaluator = Evaluator(env, CostWeights(), lambda tau, observation: 0.5 * tau)
+    evaluation = evaluator.fly(Feedback(lambda observation: torch.full_like(observation.eta, 8.0)))
+    assert torch.equal(evaluation.trajectory.tau, torch.full((20, 1, 1, 4), 4.0, dtype=torch.float64))
+    other = evaluator.in_worlds(env.select(torch.tensor([0]))).fly(resting(env))
+    assert torch.equal(other.trajectory.tau[0, 0, 0], 0.5 * env.vehicle.trim)
+
+
+def test_a_flight_may_be_judged_again(make_relay):
+    """From its trajectory alone: also a flight that went on from another."""
+    env = make_relay("scenario.duration_s=2")
+    evaluator = Evaluator(env, CostWeights())
+    agent = Feedback(lambda observation: -3.0 * observation.eta)
+    whole = evaluator.judge(env.rollout(agent, steps=40))
+    first = env.rollout(agent, steps=15)
+    parts = [evaluator.judge(first), evaluator.judge(env.rollout(agent, first.end, 25, first.carry))]
+    torch.testing.assert_close(parts[0].cost + parts[1].cost, whole.cost, rtol=1e-12, atol=0)
+    torch.testing.assert_close(evaluator.fly(agent).cost, whole.cost, rtol=0, atol=0)
+
+
+def test_blocked_is_what_the_agent_says(make_relay):
+    """Of its carry at the end; an agent that plans no way is never blocked."""
+
+    class Lost(NamedTuple):
+        blocked: torch.Tensor
+
+    class Wanderer:
+        def init(self, observation):
+            return Lost(torch.zeros(1, 1, dtype=torch.bool))
+
+        def act(self, carry, observation):
+            return torch.zeros_like(observation.eta), Lost(observation.step[:, None] >= 10)
+
+    env = make_relay("scenario.duration_s=2")
+    evaluator = Evaluator(env, CostWeights())
+    assert evaluator.judge(env.rollout(Wanderer(), steps=10)).blocked.tolist() == [[False]]
+    assert evaluator.fly(Wanderer()).blocked.tolist() == [[True]]
+    assert evaluator.fly(resting(env)).metrics()["blocked"] == 0
 
 
 def test_obstacle_term_of_a_resting_vehicle(make_config, make_relay):
     """beta_2 (1/l - 1/rho_o)^2 times 5 s, 3 m from an axis with an influence radius of 6 m."""
     cylinder = "scenario.obstacles=[{center_m:[29.5,26.5],radius_m:1,influence_m:6}]"
     overrides = ("scenario.duration_s=5", cylinder, "cost.beta_2=2")
-    config, env = make_config(*overrides), make_relay(*overrides)
-    targets = mean_channel_targets(env.scenario, env.channel)
-    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
-    evaluation = evaluate(env, lambda state, step: env.vehicle.trim.expand(1, 1, 4), cost, targets, env.reset())
+    env = make_relay(*overrides)
+    evaluation = Evaluator(env, build.make_cost(make_config(*overrides).cost)).fly(resting(env))
     assert float(evaluation.cost_terms["obstacle"][0]) == pytest.approx(2.0 * 5.0 * (1 / 3 - 1 / 6) ** 2, rel=1e-9)
     assert evaluation.metrics()["min_obstacle_clearance_m"] == pytest.approx(3.0 - 1.0 - 0.3)

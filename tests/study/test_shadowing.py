@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,8 +18,9 @@ from uwirl.study import shadowing
 from uwirl.world.random import RandomStreams
 from uwirl.world.readings import Readings, take_readings
 from uwirl.world.relay import Relay
-from uwirl.world.scenario import spread_sensors
-from uwirl.world.trajectory import Trajectory
+from uwirl.world.trajectory import Trajectory, WorldState
+from uwirl.world.truth import truth_of
+from uwirl.world.vehicle import VehicleState
 
 ACOUSTIC = "channel=acoustic_24khz"
 PAIR = "scenario.start=[[10,10,-6,0],[29,29,-4,1]]"
@@ -33,15 +35,16 @@ def wandering(env: Relay, worlds: int = 1, seed: int = 0) -> Trajectory:
     components = torch.rand(STEPS + 1, 8, worlds, env.scenario.vehicles, generator=generator, dtype=torch.float64)
     components[:, :2] = 60.0 * components[:, :2] - 30.0
     components[:, 2] *= -env.scenario.depth
-    return Trajectory(components, torch.zeros(STEPS, worlds, env.scenario.vehicles, 4), env.scenario.dt)
+    tau = torch.zeros(STEPS, worlds, env.scenario.vehicles, 4)
+    return Trajectory(components, tau, env.scenario.dt, 0, WorldState.of(VehicleState(components[-1]), STEPS))
 
 
 def targets_of(env: Relay) -> ChainTargets:
-    return mean_channel_targets(env.scenario, env.channel)
+    return mean_channel_targets(env.scenario, truth_of(env).channel)
 
 
 def faded(env: Relay, **channel: float) -> Relay:
-    return Relay(env.scenario, env.vehicle, replace(env.channel, **channel), env.streams)
+    return Relay(env.scenario, env.vehicle, replace(truth_of(env).channel, **channel), env.streams)
 
 
 def seeds_of(env: Relay, count: int) -> list[Relay]:
@@ -58,10 +61,11 @@ def test_messages_are_sent_every_period(make_relay: MakeRelay, start: str, perio
     assert sent.time.tolist() == pytest.approx([k * period for k in range(int(4.7500001 / period) + 1)])
     vehicles = env.scenario.vehicles
     assert sent.link_capacity.shape == (len(sent.time), vehicles + 1)
-    alone = env.select(torch.tensor([0]))
+    alone = truth_of(env.select(torch.tensor([0])))
     for time, capacity in zip(sent.time.tolist(), sent.link_capacity, strict=True):
         pose = trajectory.eta[round(time / 0.05), :1, :, :3]
-        torch.testing.assert_close(capacity, alone.link_capacities_kbps(pose, shadowed=True)[0], rtol=1e-12, atol=0.0)
+        expected = alone.link_capacities_kbps(pose, shadowed=True)[0]
+        torch.testing.assert_close(capacity, expected, rtol=1e-12, atol=0.0)
 
 
 @pytest.mark.parametrize("chunk", [1, 3, 10])
@@ -77,7 +81,7 @@ def test_messages_in_any_chunks(make_relay: MakeRelay, monkeypatch: pytest.Monke
 def test_without_shadowing_capacities_are_the_mean(make_relay: MakeRelay, start: str):
     env = make_relay("channel=paper", "channel.zeta_dB=0", start)
     trajectory = wandering(env)
-    mean = env.link_capacities_kbps(trajectory.eta[[0, -1], 0, :, :3]).amin(-1).tolist()
+    mean = truth_of(env).link_capacities_kbps(trajectory.eta[[0, -1], 0, :, :3]).amin(-1).tolist()
     metrics = shadowing.shadowed_capacities(env, trajectory, targets_of(env))
     assert [metrics["capacity_initial_kbps"], metrics["capacity_final_kbps"]] == pytest.approx(mean, rel=1e-12)
     # What the paper reports for hops of 42.426 and 28.284 m.
@@ -93,7 +97,7 @@ def test_shadowed_optimum_is_no_less(make_relay: MakeRelay, seed: int):
     # A mission that ends at the mean channel's targets.
     trajectory.components[-1, :3, 0] = targets.frame.target.T
     metrics = shadowing.shadowed_capacities(env, trajectory, targets)
-    ends = env.link_capacities_kbps(trajectory.eta[[0, -1], :, :, :3], shadowed=True)[:, 0].amin(-1).tolist()
+    ends = truth_of(env).link_capacities_kbps(trajectory.eta[[0, -1], :, :, :3], shadowed=True)[:, 0].amin(-1).tolist()
     assert [metrics["capacity_initial_kbps"], metrics["capacity_final_kbps"]] == pytest.approx(ends, rel=1e-12)
     assert metrics["capacity_optimal_kbps"] > max(ends)
 
@@ -104,22 +108,6 @@ def test_the_mission_is_part_of_the_search(make_relay: MakeRelay, monkeypatch: p
     monkeypatch.setattr(shadowing, "shadowed_targets", lambda scenario, snr, targets: targets - 300.0)
     metrics = shadowing.shadowed_capacities(env, wandering(env), targets_of(env))
     assert metrics["capacity_optimal_kbps"] == max(metrics["capacity_initial_kbps"], metrics["capacity_final_kbps"])
-
-
-def test_true_snr_by_hand(make_relay: MakeRelay):
-    """K - 10 n log10(l) - a l / 1000 - N0 and the first world's field; links of a chain, and so its capacities."""
-    env = make_relay(ACOUSTIC, streams=RandomStreams.worlds(4, 3))
-    q = spread_sensors(20, 5, SOURCE, DESTINATION, torch.float64)
-    alone, capacity = env.select(torch.tensor([0])), []
-    for node in (SOURCE, DESTINATION):
-        p = torch.tensor(node, dtype=torch.float64).expand_as(q)
-        lengths = np.linalg.norm(p.numpy() - q.numpy(), axis=-1)
-        mean = -60.0 - 20.0 * np.log10(lengths) - env.channel.absorption_dB_per_km * lengths / 1000.0 + 104.0
-        snr = shadowing.true_snr(env, p, q).numpy()
-        np.testing.assert_allclose(snr, mean + alone.shadowing(p[None], q[None])[0].numpy(), rtol=0.0, atol=1e-10)
-        capacity.append(6.0 * np.log2(1.0 + 10.0 ** (snr / 10.0)))
-    links = alone.link_capacities_kbps(q[:, None, None], shadowed=True)[:, 0]
-    np.testing.assert_allclose(links, np.stack(capacity, -1), rtol=1e-10)
 
 
 def map_links(node: list[float]) -> tuple[Tensor, Tensor]:
@@ -135,12 +123,12 @@ def uninformative(env: Relay) -> Kriging:
     """The true channel, and readings kilometres away."""
     far = 1e4 * torch.eye(3, dtype=torch.float64) + 1e4
     nodes = torch.stack([env.scenario.source, env.scenario.destination])
-    return Kriging(Readings(nodes, far, torch.zeros(1, 2, 3, dtype=torch.float64)), env.channel)
+    return Kriging(Readings(nodes, far, torch.zeros(1, 2, 3, dtype=torch.float64)), truth_of(env).channel)
 
 
 def test_map_without_fading_has_no_error(make_relay: MakeRelay):
     env = faded(make_relay(ACOUSTIC), zeta_dB=0.0, rho_dB=0.0)
-    (readings,), estimate = estimate_each_vehicle(env, oracle)
+    (readings,), estimate = estimate_each_vehicle(env, partial(oracle, channel=truth_of(env).channel))
     assert shadowing.map_rmse_dB(env, Kriging(readings, estimate.channel)) < 1e-10
 
 
@@ -149,7 +137,8 @@ def test_far_readings_leave_all_the_shadowing(make_relay: MakeRelay):
     squares = []
     for env in seeds_of(make_relay(ACOUSTIC), 12):
         rmse = shadowing.map_rmse_dB(env, uninformative(env))
-        field = torch.cat([env.shadowing(*(end[None] for end in map_links(node)))[0] for node in (SOURCE, DESTINATION)])
+        links = [[end[None] for end in map_links(node)] for node in (SOURCE, DESTINATION)]
+        field = torch.cat([truth_of(env).shadowing(*ends)[0] for ends in links])
         assert rmse == pytest.approx(float(field.square().mean().sqrt()), rel=1e-9)
         squares.append(rmse**2)
     assert np.mean(squares) == pytest.approx(9.0, abs=4.0 * np.std(squares, ddof=1) / np.sqrt(12.0))
@@ -158,11 +147,12 @@ def test_far_readings_leave_all_the_shadowing(make_relay: MakeRelay):
 def test_map_error_by_hand(make_relay: MakeRelay):
     """Nodes first and places second, as the field has them."""
     env = make_relay(ACOUSTIC)
-    kriging, squares = Kriging(take_readings(env), env.channel), []
+    truth = truth_of(env)
+    kriging, squares = Kriging(take_readings(env), truth.channel), []
     for node in (SOURCE, DESTINATION):
         first, second = map_links(node)
-        mean = env.channel.mean_snr_dB(torch.linalg.vector_norm(first - second, dim=-1))
-        error = kriging.mean(first, second) - mean - env.shadowing(first[None], second[None])[0]
+        mean = truth.channel.mean_snr_dB(torch.linalg.vector_norm(first - second, dim=-1))
+        error = kriging.mean(first, second) - mean - truth.shadowing(first[None], second[None])[0]
         squares.append(error.square())
     expected = float(torch.cat(squares).mean().sqrt())
     assert shadowing.map_rmse_dB(env, kriging) == pytest.approx(expected, rel=1e-9)
@@ -173,7 +163,7 @@ def test_more_sensors_make_a_better_map(make_relay: MakeRelay):
     means = []
     for count in (16, 64, 256):
         envs = [make_relay(ACOUSTIC, f"scenario.sensors={count}", f"seed={seed}") for seed in range(3)]
-        squares = [shadowing.map_rmse_dB(env, Kriging(take_readings(env), env.channel)) ** 2 for env in envs]
+        squares = [shadowing.map_rmse_dB(env, Kriging(take_readings(env), truth_of(env).channel)) ** 2 for env in envs]
         means.append(np.mean(squares))
     assert 9.0 > means[0] > means[1] > means[2] > 0.0
 
@@ -191,7 +181,7 @@ def test_summary_of_shadowing_that_is_told(make_relay: MakeRelay):
     assert metrics.keys() == {"snr_map_rmse_dB"} | CAPACITIES | MAP_TARGET
     place = torch.tensor(metrics["map_target_m"], dtype=torch.float64)
     assert place.shape == (1, 3)
-    carried = float(env.link_capacities_kbps(place[None], shadowed=True).amin())
+    carried = float(truth_of(env).link_capacities_kbps(place[None], shadowed=True).amin())
     assert metrics["map_target_capacity_kbps"] == pytest.approx(carried, rel=1e-12)
     # The map expects more there than at the midpoint.
     kriging = Kriging(readings[0], estimate.channel)
@@ -212,11 +202,12 @@ def test_summary_of_shadowing_that_is_not_told(make_relay: MakeRelay):
 def test_summary_of_two_vehicles(make_relay: MakeRelay):
     """A map each, of the vehicle's own readings, and nowhere to put a chain."""
     env = make_relay(ACOUSTIC, PAIR)
-    readings, estimate = estimate_each_vehicle(env, oracle)
+    truth = truth_of(env)
+    readings, estimate = estimate_each_vehicle(env, partial(oracle, channel=truth.channel))
     targets = targets_of(env)
     metrics = shadowing.summary(env, wandering(env), targets, readings, estimate)
     assert metrics.keys() == {"snr_map_rmse_dB"} | CAPACITIES
-    assert metrics["capacity_optimal_kbps"] > float(env.link_capacities_kbps(targets.frame.target[None], True).amin())
-    own = [shadowing.map_rmse_dB(env, Kriging(data, env.channel)) for data in readings]
+    assert metrics["capacity_optimal_kbps"] > float(truth.link_capacities_kbps(targets.frame.target[None], True).amin())
+    own = [shadowing.map_rmse_dB(env, Kriging(data, truth.channel)) for data in readings]
     assert metrics["snr_map_rmse_dB"] == pytest.approx(own, rel=1e-9)
     assert own[0] != own[1]

@@ -11,10 +11,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from uwirl import build
-from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import estimate_each_vehicle
-from uwirl.study.evaluation import Evaluation, evaluate
-from uwirl.study.shadowing import Messages, messages
+from uwirl.study.evaluation import Evaluation
+from uwirl.study.shadowing import LinksAtMessages, messages
 from uwirl.study.tensorboard import TensorBoard
 
 METRICS = {"cost_total": 3.25, "collisions": 0, "time_to_99_percent_s": None, "status": "complete"}
@@ -26,13 +25,11 @@ def config(make_config):
 
 
 @pytest.fixture(scope="module")
-def mission(config) -> tuple[Evaluation, Messages]:
+def mission(config) -> tuple[Evaluation, LinksAtMessages]:
     env = build.make_relay(config)
     _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator))
-    policy = build.make_planner(config, config.planner, env).fit(env, estimate)
-    targets = mean_channel_targets(env.scenario, env.channel)
-    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
-    evaluation = evaluate(env, policy, cost, targets, env.reset(), build.make_guard(config))
+    agent = build.make_planner(config, config.planner, env).fit(env, estimate)
+    evaluation = build.make_evaluator(config, env).fly(agent)
     return evaluation, messages(env, evaluation.trajectory)
 
 
@@ -53,7 +50,7 @@ def events(config, mission, tmp_path_factory: pytest.TempPathFactory) -> EventAc
     return EventAccumulator(str(folder), size_guidance={"scalars": 0, "tensors": 0, "images": 0}).Reload()
 
 
-def test_scalars(events: EventAccumulator, mission: tuple[Evaluation, Messages]):
+def test_scalars(events: EventAccumulator, mission: tuple[Evaluation, LinksAtMessages]):
     evaluation, sent = mission
     capacity = events.Scalars("capacity/min_kbps")
     assert [event.step for event in capacity] == list(range(0, 5001, 500))

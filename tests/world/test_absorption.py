@@ -1,8 +1,7 @@
-"""Absorption laws against published values, their limits, and their place in the channel."""
+"""Absorption laws against published values, their limits, and their place in the link budget."""
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 
 import pytest
@@ -10,7 +9,7 @@ import torch
 
 from uwirl.config.world_schema import Absorption
 from uwirl.world.absorption import ABSORPTION_LAWS, Water, fisher_simmons, francois_garrison, thorp
-from uwirl.world.acoustics import Channel
+from uwirl.world.acoustics import LinkBudget
 
 LAWS = sorted(ABSORPTION_LAWS)
 
@@ -56,15 +55,13 @@ def test_higher_notes_are_absorbed_more(name: str):
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_channel_uses_the_chosen_law_per_kilometre(name: str):
+def test_budget_uses_the_chosen_law_per_kilometre(name: str):
     water = Water(5.0, 33.0, 40.0, 7.9)
-    channel = Channel(-60.0, 2.0, -104.0, 6.0, absorption=name, frequency_khz=24.0, water=water)
-    near, far = channel.known_loss_dB(torch.tensor([0.0, 1000.0], dtype=torch.float64)).tolist()
+    budget = LinkBudget(-104.0, 6.0, absorption=name, frequency_khz=24.0, water=water)
+    near, far = budget.known_loss_dB(torch.tensor([0.0, 1000.0], dtype=torch.float64)).tolist()
     assert near == -104.0
     assert far - near == pytest.approx(ABSORPTION_LAWS[name](24.0, water), rel=1e-12)
 
 
 def test_no_absorption_leaves_the_noise():
-    channel = Channel(-60.0, 2.0, -104.0, 6.0)
-    assert channel.known_loss_dB(torch.tensor([1.0, 1e5])).tolist() == [-104.0, -104.0]
-    assert math.isinf(channel.varphi_m)
+    assert LinkBudget(-104.0, 6.0).known_loss_dB(torch.tensor([1.0, 1e5])).tolist() == [-104.0, -104.0]

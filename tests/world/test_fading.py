@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from uwirl.world.fading import Shadowing, ShadowingField, exact_shadowing
-from uwirl.world.geometry import distances
 from uwirl.world.random import RandomStreams, Stream
 
 ZETA, VARPHI = 3.0, 15.0
@@ -29,14 +28,6 @@ def formula() -> Tensor:
 
 def realised(worlds: int, cosines: int = 32, seed: int = 1) -> ShadowingField:
     return Shadowing(ZETA, VARPHI, cosines).realise(RandomStreams.worlds(seed, worlds))
-
-
-def test_distances_are_exact():
-    """A tenth of a micrometre, a kilometre from the origin, is not lost, and the diagonal is zero."""
-    a = torch.tensor([[1000.0, -1000.0, -8.0], [1000.0, -1000.0, -8.0 + 1e-7]], dtype=torch.float64)
-    D = distances(a, a)
-    assert D.diagonal().tolist() == [0.0, 0.0]
-    assert float(D[0, 1]) == pytest.approx(1e-7, rel=1e-6)
 
 
 def test_exact_samples_have_the_covariance():

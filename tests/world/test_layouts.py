@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-
 import pytest
 import torch
 from torch import Tensor
 
 from uwirl.world import layouts as layouts_module
 from uwirl.world.layouts import KINDS, Layouts, draw_layouts
-from uwirl.world.obstacles import Obstacles
 from uwirl.world.random import RandomStreams
 
 N = 200
@@ -26,8 +23,7 @@ def draw(kinds, targets: Tensor = ONE, count: int = N, seed: int = 1) -> Layouts
 
 
 def tensors(layouts: Layouts) -> dict[str, Tensor]:
-    parts = {field.name: getattr(layouts.obstacles, field.name) for field in fields(Obstacles)}
-    return parts | {"start": layouts.start, "kind": layouts.kind}
+    return layouts.obstacles._asdict() | {"start": layouts.start, "kind": layouts.kind}
 
 
 def spacing(layouts: Layouts) -> Tensor:

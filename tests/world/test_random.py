@@ -55,6 +55,17 @@ def test_more_draws_begin_with_the_same(draw: str):
     assert torch.equal(getattr(streams, draw)(Stream.CHANNEL, 0, 11)[:, :4], getattr(streams, draw)(0, 0, 4))
 
 
+@pytest.mark.parametrize("draw", ["uniform", "normal"])
+def test_a_step_of_each_world_or_several_of_one(draw: str):
+    step = torch.tensor([4, 0, 2**31 + 5])
+    several, one = RandomStreams.worlds(7, 3), RandomStreams(torch.tensor([7]), torch.tensor([1]))
+    together, in_one = (getattr(streams, draw)(Stream.NAVIGATION, step, 5) for streams in (several, one))
+    for k in range(3):
+        alone = getattr(several, draw)(Stream.NAVIGATION, int(step[k]), 5)
+        assert torch.equal(together[k], alone[k])
+        assert torch.equal(in_one[k], alone[1])
+
+
 def test_replicates_are_world_zero_of_each_seed():
     seeds = [5, 0, 2**40 + 1, -3]
     together = RandomStreams.replicates(seeds).uniform(Stream.EXPLORATION, 2, 6)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from uwirl.config.compose import folder
 from uwirl.world import vehicle as vehicle_module
+from uwirl.world.geometry import rotation_matrix
 from uwirl.world.vehicle import Vehicle, VehicleState
 
 PRESETS = sorted(path.stem for path in (folder() / "vehicle").glob("*.yaml"))
@@ -129,7 +130,7 @@ def test_fused_derivative_is_the_matrix_form(vehicle: Vehicle):
     nu = state.nu[..., None]
     loads = (vehicle.coriolis_matrix(state.nu) + vehicle.damping_matrix(state.nu)) @ nu
     nu_dot = torch.linalg.solve(vehicle.inertia_matrix(), tau[..., None] - loads - vehicle.restoring[:, None])
-    eta_dot = vehicle.rotation_matrix(state.eta[..., 3]) @ nu
+    eta_dot = rotation_matrix(state.eta[..., 3]) @ nu
     expected = torch.cat([eta_dot, nu_dot], -2)[..., 0]
     torch.testing.assert_close(rate(vehicle, state, tau), expected, rtol=1e-12, atol=1e-12)
 

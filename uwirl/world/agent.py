@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import torch
 from torch import Tensor
 
 from uwirl.world.observation import Observation
@@ -30,6 +31,36 @@ class Agent(Protocol):
 
 # Between an agent and the thrusters: from the tau [B, M, 4] that is wanted to the one that is safe.
 Guard = Callable[[Tensor, Observation], Tensor]
+
+
+def check_shape(name: str, value: object, shape: torch.Size) -> None:
+    """Refuse what is no tau [B, M, 4] or no target [B, M, 3].
+
+    Args:
+        name: what it should be, for the message.
+        value: anything.
+        shape: that is needed.
+
+    Raises:
+        ValueError: it is no floating-point tensor of that shape.
+    """
+    if isinstance(value, Tensor) and value.is_floating_point() and value.shape == shape:
+        return
+    got = f"{value.dtype} {list(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+    raise ValueError(f"{name} must be floating-point {list(shape)} (world, vehicle, axis), got {got}")
+
+
+def decide(agent: Agent, carry: Any, observation: Observation) -> tuple[Tensor, Any]:
+    """What an agent does, if that is what `Agent.act` promises: tau [B, M, 4] and the next carry.
+
+    Raises:
+        ValueError: it returned no pair, or something else in place of tau.
+    """
+    name, action = type(agent).__name__, agent.act(carry, observation)
+    if not (isinstance(action, tuple) and len(action) == 2):
+        raise ValueError(f"{name}.act must return (tau, carry), got {type(action).__name__}")
+    check_shape(f"tau of {name}.act", action[0], observation.eta.shape)
+    return action
 
 
 @dataclass(frozen=True)
@@ -64,5 +95,5 @@ class Guarded:
 
     def act(self, carry: Any, observation: Observation) -> tuple[Tensor, Any]:
         """What the guard makes of the agent's tau."""
-        tau, carry = self.agent.act(carry, observation)
+        tau, carry = decide(self.agent, carry, observation)
         return self.guard(tau, observation), carry

@@ -83,22 +83,17 @@ class RandomStreams:
         return RandomStreams(self.seed[index], self.world[index])
 
     def uniform(self, stream: Stream, step: int | Tensor, count: int) -> Tensor:
-        """Float64 draws in [0, 1), [B, count], of a step that is a number or int64 [B]."""
+        """Float64 draws in [0, 1), [B, count], of a step that is a number or int64 [B].
+
+        The draws of a single world may be asked for at several steps.
+        """
         blocks = torch.arange((count + 1) // 2, device=self.seed.device)
-        world = self.world[:, None].expand(-1, len(blocks))
-        counter = torch.stack(
-            [
-                world & _MASK,
-                torch.full_like(world, step & _MASK)
-                if isinstance(step, int)
-                else (step & _MASK)[:, None].expand_as(world),
-                torch.full_like(world, int(stream)),
-                blocks.expand_as(world),
-            ],
-            -1,
+        world, at = torch.broadcast_tensors(self.world, torch.as_tensor(step, device=self.seed.device))
+        counter = torch.broadcast_tensors(
+            (world & _MASK)[:, None], (at & _MASK)[:, None], torch.full_like(blocks, int(stream)), blocks
         )
         key = torch.stack([self.seed & _MASK, (self.seed >> 32) & _MASK], -1)[:, None, :]
-        words = philox4x32(counter, key).reshape(len(self.seed), -1, 2)
+        words = philox4x32(torch.stack(counter, -1), key).reshape(len(world), -1, 2)
         # 53 bits from two words, as the Mersenne Twister's genrand_res53 does.
         mantissa = (words[..., 0] >> 5) * (1 << 26) + (words[..., 1] >> 6)
         return (mantissa.to(torch.float64) / (1 << 53))[:, :count]
@@ -109,9 +104,8 @@ class RandomStreams:
 
     def normal(self, stream: Stream, step: int | Tensor, count: int) -> Tensor:
         """Standard normal float64 draws by Box-Muller, [B, count]."""
-        pairs = (count + 1) // 2
-        u = self.uniform(stream, step, 2 * pairs).reshape(len(self.seed), pairs, 2)
+        u = self.uniform(stream, step, count + count % 2).unflatten(1, (-1, 2))
         radius = torch.sqrt(-2.0 * torch.log1p(-u[..., 0]))
         angle = 2.0 * math.pi * u[..., 1]
         draws = torch.stack([radius * torch.cos(angle), radius * torch.sin(angle)], -1)
-        return draws.reshape(len(self.seed), -1)[:, :count]
+        return draws.flatten(1)[:, :count]

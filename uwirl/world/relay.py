@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from uwirl.world.acoustics import Channel, LinkBudget
-from uwirl.world.agent import Agent
+from uwirl.world.agent import Agent, check_shape, decide
 from uwirl.world.messages import Messages, snr_heard, told_to_all
 from uwirl.world.observation import Observation
 from uwirl.world.obstacles import Obstacles
@@ -76,21 +76,18 @@ class Relay:
         """One step of scenario.dt.
 
         Args:
-            state: of B worlds, which stays as it is.
+            state: of B worlds, which stays as it is; B may differ from the environment's if that is one world.
             tau: [B, M, 4], saturated here and held over the step.
             target: [B, M, 3], m: where the vehicles say that they mean to go; None if they say nothing new.
 
         Raises:
-            ValueError: tau or target of another shape.
+            ValueError: tau or target is no floating-point tensor of that shape, or the state is of other worlds.
         """
-        command = self._command(tau, state)
-        if target is not None and target.shape != state.target.shape:
-            raise ValueError(
-                f"target has shape {list(target.shape)}, needs {list(state.target.shape)} (world, vehicle)"
-            )
+        self._check_worlds(state)
+        check_shape("tau", tau, state.vehicles.eta.shape)
         components = torch.empty_like(state.components)
-        self._advance(state, command, components)
-        after = WorldState(components, state.step + 1, state.target if target is None else target)
+        self._advance(state, self.vehicle.saturate(tau), components)
+        after = WorldState(components, state.step + 1, _said(target, state.target))
         return after, self.observe(after)
 
     def observe(self, state: WorldState) -> Observation:
@@ -121,10 +118,12 @@ class Relay:
             carry: of a flight that goes on; None begins one.
 
         Raises:
-            ValueError: the agent returned tau of another shape, or no pair, or worlds are at different steps.
+            ValueError: the agent returned no pair of tau [B, M, 4] and a carry, or says a target of another shape; or
+                the state's worlds are at different steps, or not the environment's.
             DivergedError: a state or control stopped being finite; the message names the step and the quantity.
         """
         state = self.start() if state is None else state
+        self._check_worlds(state)
         steps = self.scenario.steps if steps is None else steps
         first_step, last_step = int(state.step.min()), int(state.step.max())
         if first_step != last_step:
@@ -136,13 +135,11 @@ class Relay:
         observation = self.observe(state)
         carry = agent.init(observation) if carry is None else carry
         for k in range(steps):
-            action = agent.act(carry, observation)
-            if not (isinstance(action, tuple) and len(action) == 2):
-                raise ValueError(f"{type(agent).__name__}.act must return (tau, carry), got {type(action).__name__}")
-            command, carry = self._command(action[0], state, agent), action[1]
+            wanted, carry = decide(agent, carry, observation)
             after = components[k + 1]
+            command = self.vehicle.saturate(wanted)
             self._advance(state, command, after)
-            state = WorldState(after, state.step + 1, _said(carry, state.target))
+            state = WorldState(after, state.step + 1, _said(getattr(carry, "target", None), state.target))
             tau[k] = command.movedim(-1, 0)
             if k + 1 < steps:
                 observation = self.observe(state)
@@ -152,14 +149,10 @@ class Relay:
         trajectory.check_finite()
         return trajectory
 
-    def _command(self, tau: Tensor, state: WorldState, agent: Agent | None = None) -> Tensor:
-        """tau within the thruster limits."""
-        wanted = (*state.components.shape[1:], 4)
-        if not isinstance(tau, Tensor) or tau.shape != wanted or not tau.is_floating_point():
-            whose = "" if agent is None else f"{type(agent).__name__}.act returned "
-            got = f"{tau.dtype} {list(tau.shape)}" if isinstance(tau, Tensor) else type(tau).__name__
-            raise ValueError(f"{whose}tau {got}, where floating-point {list(wanted)} (world, vehicle, axis) is needed")
-        return self.vehicle.saturate(tau)
+    def _check_worlds(self, state: WorldState) -> None:
+        B = state.components.shape[1]
+        if self.worlds not in (1, B):
+            raise ValueError(f"state of {B} worlds in an environment of {self.worlds}")
 
     def _advance(self, state: WorldState, command: Tensor, out: Tensor) -> None:
         """The components after one step, written into `out` [8, B, M]."""
@@ -203,10 +196,12 @@ class Relay:
         return torch.where(sends[:, None, None, None], torch.stack(heard, 1), torch.nan)
 
 
-def _said(carry: Any, before: Tensor) -> Tensor:
-    """Where vehicles say they mean to go, if their agent says anything."""
-    target = getattr(carry, "target", None)
-    return before if target is None else target.to(before.dtype)
+def _said(target: Tensor | None, before: Tensor) -> Tensor:
+    """Where vehicles say they mean to go, [B, M, 3], which is what they said before if they say nothing new."""
+    if target is None:
+        return before
+    check_shape("target", target, before.shape)
+    return target.to(before.dtype)
 
 
 def _for_each_vehicle(everywhere: Obstacles, worlds: int, vehicles: int) -> Obstacles:

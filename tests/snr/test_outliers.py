@@ -1,4 +1,4 @@
-"""Screening: outliers and a lying sensor are found, clean readings are kept, estimates survive pollution."""
+"""Outliers and a lying sensor are found, clean readings are kept, estimates survive pollution."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from scipy import stats
 from uwirl import build
 from uwirl.config.schema import EstimatorConfig
 from uwirl.snr.estimators import least_squares, maximum_likelihood
-from uwirl.snr.outliers import repeated_median, screen, unlike
+from uwirl.snr.outliers import reject_outliers, repeated_median, unlike
 from uwirl.world.acoustics import Channel
 from uwirl.world.readings import Readings
 
 
 def lost(before: Readings, after: Readings) -> torch.Tensor:
-    """What screening took, bool [B, S, N]; the rest is as it was."""
+    """What was refused, bool [B, S, N]; the rest is as it was."""
     kept = ~after.snr.isnan()
     torch.testing.assert_close(after.snr[kept], before.snr[kept], rtol=0.0, atol=1e-12)
     return ~kept & ~before.snr.isnan()
@@ -66,7 +66,7 @@ def test_one_outlier_is_found(channel: Channel, messages: int):
     readings = simulate(channel, 24, messages, sets=20)
     loud = replace(readings, snr=readings.snr.clone())
     loud.snr[:, 0, 7] += 25.0
-    found = lost(loud, screen(loud, channel))
+    found = lost(loud, reject_outliers(loud, channel.budget))
     assert bool(found[:, 0, 7].all())
     found[:, 0, 7] = False
     assert float(found.double().mean()) < 0.02
@@ -78,65 +78,59 @@ def test_a_sensor_that_lies_is_found(acoustic: Channel):
     readings = simulate(noisy, 16, 16, sets=20)
     lying = replace(readings, snr=readings.snr.clone())
     lying.snr[:, :, 5] += 6.0
-    found = lost(lying, screen(lying, noisy))
+    found = lost(lying, reject_outliers(lying, noisy.budget))
     assert bool(found[:, :, 5].all())
     found[:, :, 5] = False
     assert float(found.double().mean()) < 0.002
     # One message tells nothing of it.
     once = Readings(lying.transmitters[:1], lying.receivers, lying.snr[:, :1])
-    assert float(lost(once, screen(once, noisy))[:, 0, 5].double().mean()) < 0.5
+    assert float(lost(once, reject_outliers(once, noisy.budget))[:, 0, 5].double().mean()) < 0.5
 
 
 def test_clean_readings_are_kept(channel: Channel):
     for sensors, messages, rate in ((16, 1, 0.01), (16, 16, 0.01), (128, 1, 0.002)):
         still = replace(channel, zeta_dB=0.0)
         readings = simulate(still, sensors, messages, sets=50)
-        assert float(lost(readings, screen(readings, still)).double().mean()) < rate
+        assert float(lost(readings, reject_outliers(readings, still.budget)).double().mean()) < rate
 
 
 def test_shadowed_readings_are_kept(acoustic: Channel):
     readings = simulate(acoustic, 64, 3, sets=20)
-    assert float(lost(readings, screen(readings, acoustic)).double().mean()) < 0.01
+    assert float(lost(readings, reject_outliers(readings, acoustic.budget)).double().mean()) < 0.01
 
 
 def test_noise_free_readings_are_kept(channel: Channel):
     clean = replace(channel, zeta_dB=0.0, rho_dB=0.0)
     readings = simulate(clean, 30, 3, sets=3)
-    assert not bool(lost(readings, screen(readings, clean)).any())
+    assert not bool(lost(readings, reject_outliers(readings, clean.budget)).any())
 
 
 def test_what_was_not_heard_stays_so(channel: Channel):
     readings = simulate(channel, 20, 2, sets=3)
     readings.snr[:, 0, ::4] = torch.nan
-    assert bool(screen(readings, channel).snr[:, 0, ::4].isnan().all())
-
-
-def test_screening_needs_no_knowledge_of_the_channel(acoustic: Channel):
-    readings = polluted(simulate(acoustic, 20, 2, sets=3), 0.2)
-    blind = replace(acoustic, K_dB=torch.nan, n=torch.nan, zeta_dB=torch.nan, varphi_m=torch.nan, rho_dB=torch.nan)
-    assert torch.equal(screen(readings, blind).snr.isnan(), screen(readings, acoustic).snr.isnan())
+    assert bool(reject_outliers(readings, channel.budget).snr[:, 0, ::4].isnan().all())
 
 
 def test_forty_percent_of_gross_outliers(paper: Channel):
     readings = simulate(paper, 60, sets=20)
     wrong = polluted(readings, 0.4)
-    screened = screen(wrong, paper)
+    cleaned = reject_outliers(wrong, paper.budget)
     gross = (wrong.snr - readings.snr) > 0.0
-    assert bool(screened.snr[gross].isnan().all())
-    assert float(lost(wrong, screened)[~gross].double().mean()) < 0.01
+    assert bool(cleaned.snr[gross].isnan().all())
+    assert float(lost(wrong, cleaned)[~gross].double().mean()) < 0.01
     # As good as from the readings that were right to begin with.
-    right = maximum_likelihood(replace(readings, snr=torch.where(gross, torch.nan, readings.snr)), paper)
+    right = maximum_likelihood(replace(readings, snr=torch.where(gross, torch.nan, readings.snr)), paper.budget)
     errors = right.covariance.diagonal(dim1=-2, dim2=-1).sqrt()[:, :2]
-    survived = maximum_likelihood(screened, paper)
+    survived = maximum_likelihood(cleaned, paper.budget)
     assert bool(((survived.theta - right.theta).abs() < errors).all())
 
 
 @pytest.mark.parametrize("plain", [least_squares, maximum_likelihood])
-def test_screened_estimates_are_better(acoustic: Channel, plain):
+def test_cleaned_estimates_are_better(acoustic: Channel, plain):
     name = {least_squares: "least_squares", maximum_likelihood: "maximum_likelihood"}[plain]
     robust = build.make_estimator(EstimatorConfig(name=name, robust=True))
     assert build.make_estimator(EstimatorConfig(name=name)) is plain
     wrong = polluted(simulate(acoustic, 40, sets=20), 0.15)
     truth = torch.tensor([acoustic.K_dB, acoustic.n], dtype=torch.float64)
-    raw, screened = ((f(wrong, acoustic).theta - truth).square().mean(0).sqrt() for f in (plain, robust))
-    assert bool((screened < 0.5 * raw).all())
+    raw, cleaned = ((f(wrong, acoustic.budget).theta - truth).square().mean(0).sqrt() for f in (plain, robust))
+    assert bool((cleaned < 0.5 * raw).all())

@@ -9,13 +9,13 @@ import pytest
 import torch
 from scipy import stats
 from torch import Tensor
-from uwirl.config.own_schema import values
 
 from uwirl import build
 from uwirl.world.random import RandomStreams
 from uwirl.world.readings import Readings, take_readings
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import spread_sensors
+from uwirl.world.truth import truth_of
 from uwirl.world.vehicle import Vehicle
 
 SOURCE, DESTINATION = [-30.0, -30.0, -8.0], [30.0, 30.0, -8.0]
@@ -32,17 +32,17 @@ def env(request: pytest.FixtureRequest, make_config) -> Relay:
     scenario = replace(
         build.make_scenario(config), source=source, destination=destination, start=start, sensors=sensors
     )
-    vehicle = Vehicle(**values(config.vehicle))
+    vehicle = Vehicle(**config.vehicle.values())
     return Relay(scenario, vehicle, build.make_channel(config.channel), RandomStreams.worlds(3, 4))
 
 
 def faded(env: Relay, **channel: float) -> Relay:
-    return Relay(env.scenario, env.vehicle, replace(env.channel, **channel), env.streams)
+    return Relay(env.scenario, env.vehicle, replace(truth_of(env).channel, **channel), env.streams)
 
 
 def residual(env: Relay, readings: Readings) -> Tensor:
     """[3, N], dB."""
-    return (readings.snr - env.channel.mean_snr_dB(readings.distance))[0]
+    return (readings.snr - truth_of(env).channel.mean_snr_dB(readings.distance))[0]
 
 
 @pytest.mark.parametrize("vehicle", [0, 1])
@@ -57,7 +57,7 @@ def test_distances_by_hand(env: Relay, vehicle: int):
 
 def test_multipath_is_gaussian_of_power_rho(env: Relay):
     still = faded(env, zeta_dB=0.0)
-    multipath, rho = residual(still, take_readings(still)), env.channel.rho_dB
+    multipath, rho = residual(still, take_readings(still)), truth_of(env).channel.rho_dB
     low, high = (stats.chi2.ppf(p, READINGS) for p in (1e-4, 1.0 - 1e-4))
     assert low < float(multipath.square().sum()) / rho**2 < high
     assert stats.kstest(multipath.flatten().numpy(), stats.norm(0.0, rho).cdf).pvalue > 0.01
@@ -80,13 +80,13 @@ def test_shadowing_is_the_environments(env: Relay):
     assert torch.equal(first.snr[0, 1:], second.snr[0, 1:])
     for message, node in enumerate((START[0][:3], SOURCE, DESTINATION)):
         end = torch.tensor(node, dtype=torch.float64).expand(4, SENSORS, 3)
-        field = silent.shadowing(end, env.scenario.sensors.expand(4, SENSORS, 3))[2]
+        field = truth_of(silent).shadowing(end, env.scenario.sensors.expand(4, SENSORS, 3))[2]
         torch.testing.assert_close(residual(silent, first)[message], field, rtol=0.0, atol=1e-9)
-    assert float(residual(silent, first).std()) > 0.3 * env.channel.zeta_dB
+    assert float(residual(silent, first).std()) > 0.3 * truth_of(env).channel.zeta_dB
 
 
 def test_world_reads_the_same_in_any_batch(env: Relay):
-    alone = Relay(env.scenario, env.vehicle, env.channel, RandomStreams(torch.tensor([3]), torch.tensor([2])))
+    alone = env.on(env.scenario, RandomStreams(torch.tensor([3]), torch.tensor([2])))
     together = take_readings(env, vehicle=1, world=2).snr
     torch.testing.assert_close(together, take_readings(alone, vehicle=1).snr, rtol=0.0, atol=1e-12)
     assert bool((together != take_readings(env, vehicle=1).snr).all())
@@ -98,7 +98,7 @@ def test_repeated_readings_are_the_same(env: Relay):
 
 def test_no_fading_reads_the_mean(env: Relay):
     readings = take_readings(faded(env, zeta_dB=0.0, rho_dB=0.0))
-    assert torch.equal(readings.snr[0], env.channel.mean_snr_dB(readings.distance))
+    assert torch.equal(readings.snr[0], truth_of(env).channel.mean_snr_dB(readings.distance))
 
 
 @pytest.mark.parametrize("vehicle", [0, 1])
