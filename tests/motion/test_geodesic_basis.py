@@ -4,11 +4,11 @@ import math
 
 import pytest
 import torch
+from uwirl.motion.policy import LinkFramePolicy
 
 from uwirl import build
 from uwirl.irl.networks import LinearActor
 from uwirl.motion.geodesic_basis import WayState
-from uwirl.motion.policy import LinkFramePolicy
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import oracle
 from uwirl.world.messages import take_readings

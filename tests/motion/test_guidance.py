@@ -9,8 +9,8 @@ from uwirl import build
 from uwirl.motion.route import MapSettings, Router
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import oracle
-from uwirl.world.messages import take_readings
 from uwirl.study.evaluation import evaluate
+from uwirl.world.messages import take_readings
 
 
 def cup(radius: float = 5.0, cylinders: int = 9) -> str:

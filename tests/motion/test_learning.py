@@ -12,8 +12,8 @@ from uwirl.motion.excitation import Excitation, PoseDraw
 from uwirl.motion.planner import LearningPlanner
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import estimate_each_vehicle, oracle
-from uwirl.world.messages import take_readings
 from uwirl.study.evaluation import cost_of_weights, evaluate
+from uwirl.world.messages import take_readings
 from uwirl.world.random import RandomStreams
 
 SHORT = ("planner.max_time_s=45", "planner.tolerance_weights=0")

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import pytest
 import torch
-
-from uwirl import build
 from uwirl.motion.baselines.guesses import guess_along, guess_from
 from uwirl.motion.baselines.trajectory_optimization import PlanPolicy, TrajectoryOptimization, optimise
+
+from uwirl import build
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import oracle
-from uwirl.world.messages import take_readings
 from uwirl.study.evaluation import evaluate
+from uwirl.world.messages import take_readings
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.random import RandomStreams
 from uwirl.world.relay import Trajectory

@@ -113,7 +113,7 @@ class Kriging:
     def outage(self, first: Tensor, second: Tensor, capacity_kbps: float) -> Tensor:
         """Probability, [Q], that a link carries less than a capacity in kbit/s, multipath aside."""
         mean, std = self.predict(first, second)
-        return torch.special.ndtr((self.channel.snr_for_dB(capacity_kbps) - mean) / std)
+        return torch.special.ndtr((self.channel.budget.snr_for_dB(capacity_kbps) - mean) / std)
 
     def relay(self, source: Tensor, destination: Tensor, position: Tensor) -> Tensor:
         """Capacity of the worse link of a relay at [Q, 3] between two nodes [3], at the mean SNR, [Q], kbit/s."""
