@@ -48,7 +48,7 @@ class Watched:
         self.clearance = torch.full((env.worlds,), torch.inf, dtype=torch.float64)  # [B], m
 
     def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
-        clearance = self.scenario.clearance(observation.position, observation.time[:, None]).amin(-1)
+        clearance = self.scenario.clearance(observation.position, observation.time).amin(-1)
         self.clearance = torch.minimum(self.clearance, clearance)
         return self.guard(tau, observation)
 
