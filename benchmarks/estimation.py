@@ -75,7 +75,7 @@ def read(channel: Channel, N: int, data_sets: int) -> Readings:
 
 def residuals(readings: Readings, channel: Channel) -> Tensor:
     """Of ordinary least squares, [B, N], dB."""
-    _, y, geometry = next(observations(readings, channel))
+    _, y, geometry = next(observations(readings, channel.budget))
     return (y - (geometry.H @ ordinary(y, geometry.H)[:, None, :, None])[..., 0])[:, 0]
 
 
@@ -152,10 +152,10 @@ def fits(name: str, channel: Channel) -> None:
             rows.append(one)
             peer = sklearn_fit(readings.receivers, residual[b], extent).log_marginal_likelihood_value_
             constant = 0.5 * N * torch.log(torch.tensor(2.0 * torch.pi)).item()
-            worse.append(-float(maximum_likelihood(one, channel).cost[0]) - constant - peer)
+            worse.append(-float(maximum_likelihood(one, channel.budget).cost[0]) - constant - peer)
 
         def ours(rows: list[Readings] = rows) -> object:
-            return [maximum_likelihood(one, channel) for one in rows]
+            return [maximum_likelihood(one, channel.budget) for one in rows]
 
         def theirs(residual: Tensor = residual, X: Tensor = readings.receivers, extent: float = extent) -> object:
             return [sklearn_fit(X, one, extent) for one in residual]
@@ -167,7 +167,7 @@ def fits(name: str, channel: Channel) -> None:
     residual = residuals(readings, channel)
     extent = float(torch.pdist(readings.receivers).max())
     row = ratios(
-        lambda: maximum_likelihood(readings, channel),
+        lambda: maximum_likelihood(readings, channel.budget),
         lambda: [sklearn_fit(readings.receivers, one, extent) for one in residual[:LOOPED]],
         3,
         DATA_SETS / LOOPED,

@@ -7,38 +7,37 @@ median.
 
 re-plan       the way of one vehicle between the obstacles of Fig. 5
 batch of 32   of random layouts and of rings of 24 cylinders: time for each map
-control step  of 1,000 worlds of random layouts or of one, all ways planned before: the policy's tau, the guard's
-              correction, the vehicle's integration, and a whole step of a rollout
+control step  of 1,000 worlds of random layouts or of one, all ways planned before: what the vehicles perceive, the
+              agent's tau, the guard's correction, the integration, and a whole step of a rollout
 """
 
 from __future__ import annotations
 
-import itertools
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import replace
 
 import torch
-from torch import Tensor
 
 from uwirl import build
 from uwirl.config.compose import compose
 from uwirl.config.schema import Config
-from uwirl.motion.guidance import GeodesicPolicy
+from uwirl.motion.guidance import GeodesicAgent
 from uwirl.motion.route import BATCH
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import oracle
+from uwirl.world.agent import Guarded
 from uwirl.world.layouts import draw_layouts
 from uwirl.world.random import RandomStreams
 from uwirl.world.readings import take_readings
 from uwirl.world.relay import Relay
-from uwirl.world.vehicle import VehicleState
+from uwirl.world.truth import truth_of
 
 WORLDS = 1000
 SEED = 77
-# Steps flown before control steps are timed, those that are timed together, and the numbers left between such.
-WARM_STEPS, STEPS, LATER = 40, 20, 10_000
+# Steps flown before control steps are timed, and those that are timed together.
+WARM_STEPS, STEPS = 40, 20
 
 
 def timed(call: Callable[[], object], rounds: int, per: int = 1) -> list[float]:
@@ -59,44 +58,41 @@ def row(name: str, times: list[float]) -> None:
 def drawn(env: Relay, kinds: list[str], count: int) -> Relay:
     """Random layouts between the same nodes."""
     streams = RandomStreams.worlds(SEED, count)
-    layouts = draw_layouts(streams, kinds, mean_channel_targets(env.scenario, env.channel).frame.target)
+    layouts = draw_layouts(streams, kinds, mean_channel_targets(env.scenario, truth_of(env).channel).frame.target)
     return env.on(replace(env.scenario, start=layouts.start, obstacles=layouts.obstacles), streams)
 
 
-def led(config: Config, env: Relay) -> GeodesicPolicy:
-    """A damped spring led along the ways; they are planned with its first step."""
+def led(config: Config, env: Relay) -> GeodesicAgent:
+    """A damped spring led along the ways."""
     one = build.make_relay(config)
-    policy = build.make_planner(config, config.planner, env).fit(env, oracle(take_readings(one), one.channel))
-    assert isinstance(policy, GeodesicPolicy)
-    return policy
+    truth = oracle(take_readings(one), one.budget, truth_of(one).channel)
+    agent = build.make_planner(config, config.planner, env).fit(env, truth)
+    assert isinstance(agent, GeodesicAgent)
+    return agent
 
 
 def replanning(config: Config, env: Relay) -> Callable[[], object]:
     """Plans the ways of all worlds from their starts."""
-    router, start = led(config, env).pilot.router, env.reset().position[:, 0, :2]
-    obstacles = env.scenario.obstacles
-    known = obstacles if obstacles.radius.ndim == 2 else obstacles.each(lambda field: field[None])
-    return lambda: router.plan(torch.arange(env.worlds), start, known, 0.0)
+    router, (_, observation) = led(config, env).tracker.router, env.reset()
+    known = observation.obstacles.each(lambda field: field.flatten(0, 1))
+    return lambda: router.plan(torch.arange(env.worlds), observation.position[:, 0, :2], known, observation.time)
 
 
 def control_step(config: Config, env: Relay, rounds: int) -> dict[str, list[float]]:
     """Times of a step's parts, ms."""
-    policy, guard = led(config, env), build.make_guard(config)
-    state = env.rollout(guard(env, policy), env.reset(), WARM_STEPS).last
-    # A step that is not later than the one before would begin a new flight, and plan.
-    step, legs = itertools.count(WARM_STEPS), itertools.count(2 * LATER, LATER)
-    tau = policy(state, next(step))
+    agent, guard = led(config, env), build.make_guard(config, env)
+    guarded = Guarded(agent, guard)
+    flown = env.rollout(guarded, steps=WARM_STEPS)
+    state, carry = flown.end, flown.carry
+    observation = env.observe(state)
+    tau, _ = agent.act(carry, observation)
     out = torch.empty_like(state.components)
-
-    def held(state: VehicleState, step: int) -> Tensor:
-        return tau
-
-    guarded = guard(env, held)
     return {
-        "policy": timed(lambda: policy(state, next(step)), rounds),
-        "guard": timed(lambda: guarded(state, 0), rounds),
-        "integration": timed(lambda: env.vehicle.step(state, tau, env.scenario.dt, out=out), rounds),
-        "whole": timed(lambda: env.rollout(guard(env, policy), state, STEPS, next(legs)), rounds // STEPS + 2, STEPS),
+        "observation": timed(lambda: env.observe(state), rounds),
+        "agent": timed(lambda: agent.act(carry, observation), rounds),
+        "guard": timed(lambda: guard(tau, observation), rounds),
+        "integration": timed(lambda: env.vehicle.step(state.vehicles, tau, env.scenario.dt, out=out), rounds),
+        "whole": timed(lambda: env.rollout(guarded, state, STEPS, carry), rounds // STEPS + 2, STEPS),
     }
 
 

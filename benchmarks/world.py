@@ -1,5 +1,8 @@
 """How fast the vehicle dynamics run: one RK4 step of the 4-DOF model with held tau, on one thread.
 
+    python benchmarks/world.py
+    python benchmarks/world.py --against PATH    # rollouts and the guard beside those of another checkout, instead
+
 Every rate is in vehicle-steps per core-second. Beside eager and compiled PyTorch stand two yardsticks, measured in the
 same run: the model hand-written for one vehicle in plain Python, and the copy bandwidth of the machine. A step must at
 least read x (8 numbers) and tau (4) and write x (8), so no implementation whose state lies in memory exceeds
@@ -12,11 +15,16 @@ ones return a new tensor, so that at 1,000,000 worlds page faults of the allocat
 
 from __future__ import annotations
 
+import argparse
 import itertools
+import json
 import math
+import os
 import platform
 import re
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -223,10 +231,57 @@ def processor() -> str:
     return match.group(1) if match else platform.processor() or platform.machine()
 
 
+def flights(checkouts: dict[str, Path]) -> dict[str, dict[str, float]]:
+    """Nanoseconds a vehicle-step of rollouts and the guard: the least of rounds that alternate between checkouts.
+
+    Raises:
+        SystemExit: a checkout's process ended.
+    """
+    command = [sys.executable, str(Path(__file__).with_name("flights.py"))]
+    processes = {
+        name: subprocess.Popen(
+            command,
+            env=os.environ | {"PYTHONPATH": str(path)},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for name, path in checkouts.items()
+    }
+    least: dict[str, dict[str, float]] = {name: {} for name in checkouts}
+    for _ in range(ROUNDS):
+        for name, process in processes.items():
+            assert process.stdin is not None
+            assert process.stdout is not None
+            print(file=process.stdin, flush=True)
+            line = process.stdout.readline()
+            if not line:
+                raise SystemExit(f"{name} ({checkouts[name]}) ended before it was measured")
+            for call, time_ns in json.loads(line).items():
+                least[name][call] = min(time_ns, least[name].get(call, math.inf))
+    for process in processes.values():
+        process.communicate()
+    return least
+
+
+def versions(against: Path) -> None:
+    """Print this version beside another one."""
+    least = flights({"this": Path(__file__).parents[1], "other": against.resolve()})
+    print(f"{'ns a vehicle-step':<34} {'this':>12} {'other':>12} {'this / other':>13}")
+    for call, this in least["this"].items():
+        print(f"{call:<34} {this:>12.1f} {least['other'][call]:>12.1f} {this / least['other'][call]:>13.2f}")
+
+
 def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--against", type=Path, help="root of another checkout")
+    against: Path | None = parser.parse_args().against
     torch.set_num_threads(1)
     torch.manual_seed(0)
     print(f"{processor()}, one thread; torch {torch.__version__}, Python {platform.python_version()}", flush=True)
+    if against is not None:
+        versions(against)
+        return
     config = compose([]).vehicle
     source, target = torch.ones(2, COPY_BYTES, dtype=torch.uint8)
     with torch.inference_mode():

@@ -17,8 +17,9 @@ from torch import Tensor
 from uwirl import build
 from uwirl.config.compose import compose
 from uwirl.snr.log import OPTIONAL, REQUIRED
-from uwirl.world.fading import distances
+from uwirl.world.geometry import distances
 from uwirl.world.random import RandomStreams, Stream
+from uwirl.world.truth import truth_of
 
 SEED, SENSORS = 7, 16
 # A dive from the surface near the destination to beside the source, with stops of two messages 10 s apart.
@@ -42,11 +43,12 @@ def text() -> str:
     vehicle, sensors = positions().repeat_interleave(MESSAGES, 0), env.scenario.sensors.round(decimals=2)
     distance = distances(vehicle, sensors)
     ends = vehicle[:, None].expand(-1, SENSORS, -1), sensors.expand(len(vehicle), -1, -1)
-    shadowing = env.shadowing(*(end.reshape(1, -1, 3) for end in ends)).view_as(distance)
+    truth = truth_of(env)
+    shadowing = truth.shadowing(*(end.reshape(1, -1, 3) for end in ends)).view_as(distance)
     streams = RandomStreams.worlds(SEED, 1)
     multipath = streams.normal(Stream.MEASUREMENT, 0, distance.numel()).view_as(distance)
     lost = streams.uniform(Stream.DISTURBANCE, 0, distance.numel()).view_as(distance) < DROPOUT
-    snr = env.channel.mean_snr_dB(distance) + shadowing + env.channel.rho_dB * multipath
+    snr = truth.channel.mean_snr_dB(distance) + shadowing + truth.channel.rho_dB * multipath
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow((*OPTIONAL, *REQUIRED))

@@ -8,12 +8,14 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from uwirl.motion.policy import Policy
 
 from uwirl.motion.features import LinkFrameBasis
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimate import ChannelEstimate
-from uwirl.world.acoustics import Channel
+from uwirl.world.acoustics import LinkBudget
+from uwirl.world.agent import Agent, Feedback
+from uwirl.world.geometry import rotation_matrix
+from uwirl.world.observation import Observation
 from uwirl.world.readings import Readings
 from uwirl.world.relay import Relay
 from uwirl.world.vehicle import Vehicle, VehicleState
@@ -38,7 +40,7 @@ class WornThrusters(Vehicle):
 
 
 @dataclass(frozen=True)
-class CodedModem(Channel):
+class CodedModem(LinkBudget):
     """A modem whose code stays some decibels behind Shannon's capacity: C = B log2(1 + SNR / gap).
 
     Attributes:
@@ -54,15 +56,15 @@ class CodedModem(Channel):
         return super().snr_for_dB(capacity_kbps) + self.gap_dB
 
 
-def known_exponent(readings: Readings, known: Channel, n: float) -> ChannelEstimate:
+def known_exponent(readings: Readings, budget: LinkBudget, n: float) -> ChannelEstimate:
     """K alone, where the way in which sound spreads is known.
 
     Args:
         readings: B data sets.
-        known: noise, bandwidth, absorption.
+        budget: noise, bandwidth, absorption.
         n: the spreading exponent.
     """
-    loss = 10.0 * n * torch.log10(readings.distance) + known.known_loss_dB(readings.distance)
+    loss = 10.0 * n * torch.log10(readings.distance) + budget.known_loss_dB(readings.distance)
     level = (readings.snr + loss).flatten(1)
     K, count = level.nanmean(1), (~level.isnan()).sum(1)
     power = (level - K[:, None]).square().nansum(1) / (count - 1)
@@ -70,7 +72,7 @@ def known_exponent(readings: Readings, known: Channel, n: float) -> ChannelEstim
     covariance[:, 0, 0] = power / count
     nothing = torch.zeros_like(K)
     return ChannelEstimate(
-        known=known,
+        budget=budget,
         # What is left of the fading is taken for multipath: zeta^2 = 0, and any varphi.
         value=torch.stack([K, torch.full_like(K, n), nothing, torch.ones_like(K), power], -1),
         covariance=covariance,
@@ -104,17 +106,17 @@ class Pursuit:
     def __init__(self, speed_mps: float, slow_m: float = 2.0, gain: float = 60.0):
         self.speed_mps, self.slow_m, self.gain = speed_mps, slow_m, gain
 
-    def fit(self, env: Relay, estimate: ChannelEstimate) -> Policy:
+    def fit(self, env: Relay, estimate: ChannelEstimate) -> Agent:
         target = mean_channel_targets(env.scenario, estimate.channel).frame.target
 
-        def policy(state: VehicleState, step: int) -> Tensor:
-            error = target - state.position
+        def law(observation: Observation) -> Tensor:
+            error = target - observation.position
             distance = torch.linalg.vector_norm(error, dim=-1, keepdim=True)
-            wanted = torch.zeros_like(state.nu)
+            wanted = torch.zeros_like(observation.nu)
             wanted[..., :3] = error * (self.speed_mps / distance.clamp_min(self.slow_m))
-            J = Vehicle.rotation_matrix(state.eta[..., 3])
+            J = rotation_matrix(observation.eta[..., 3])
             wanted = (J.mT @ wanted[..., None])[..., 0]
             gain = wanted.new_tensor([self.gain, self.gain, self.gain, 0.1 * self.gain])
-            return env.vehicle.trim + gain * (wanted - state.nu)
+            return env.vehicle.trim + gain * (wanted - observation.nu)
 
-        return policy
+        return Feedback(law)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,24 +22,24 @@ from learning_curve import STARTS
 from omegaconf import DictConfig
 from results import leave
 from torch import Tensor
-from uwirl.motion.baselines.guesses import guess_from, guesses_on_the_map
-from uwirl.motion.baselines.trajectory_optimization import Plan, optimise
 
 from uwirl import build
+from uwirl.algorithm import Planned, algorithm_1
+from uwirl.baselines.guesses import guess_from, guesses_on_the_map
+from uwirl.baselines.trajectory_optimization import Plan, optimise
 from uwirl.config.compose import compose
 from uwirl.config.schema import Config
 from uwirl.config.validate import validate
-from uwirl.motion.cost import RelayCost
-from uwirl.motion.planner import LearningPlanner, Planner
-from uwirl.motion.targets import ChainTargets, mean_channel_targets
-from uwirl.snr.estimate import ChannelEstimate
-from uwirl.snr.estimators import estimate_each_vehicle
+from uwirl.motion.cost import CostWeights
+from uwirl.motion.mission import Mission
 from uwirl.study import figures
-from uwirl.study.evaluation import Evaluation, evaluate
+from uwirl.study.evaluation import Evaluation, Evaluator
+from uwirl.world.agent import Agent
 from uwirl.world.layouts import KINDS, draw_layouts
 from uwirl.world.obstacles import contacts, no_obstacles
 from uwirl.world.random import RandomStreams
 from uwirl.world.relay import Relay
+from uwirl.world.truth import truth_of
 
 log = logging.getLogger("uwirl")
 
@@ -48,8 +49,7 @@ class Rival:
     """A planner that has finished learning."""
 
     config: Config
-    planner: Planner
-    estimate: ChannelEstimate
+    agent_in: Callable[[Relay], Agent]
 
     @classmethod
     def learn(cls, overrides: list[str]) -> Rival:
@@ -57,33 +57,35 @@ class Rival:
         validate(config)
         torch.set_num_threads(config.threads)
         env = build.make_relay(config)
-        _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator))
-        planner = build.make_planner(config, config.planner, env)
-        if isinstance(planner, LearningPlanner):
-            planner.fit(env, estimate)
-        return cls(config, planner, estimate)
+        estimator = build.make_estimator(config.estimator, env)
+        *_, planned = algorithm_1(env, estimator, build.make_planner(config, config.planner, env))
+        assert isinstance(planned, Planned)
+        return cls(config, planned.agent_in)
 
-    def fly(self, worlds: Relay, cost: RelayCost, targets: ChainTargets) -> Evaluation:
+    def fly(self, worlds: Relay, weights: CostWeights) -> Evaluation:
         """Its missions, with its own detection range."""
         seen = replace(worlds.scenario, detection_range=self.config.scenario.detection_range_m)
         worlds = worlds.on(seen, worlds.streams)
-        policy = build.policy_in(worlds, self.config, self.planner, self.estimate)
-        return evaluate(worlds, policy, cost, targets, worlds.reset(), build.make_guard(self.config))
+        return Evaluator(worlds, weights, build.make_guard(self.config, worlds)).fly(self.agent_in(worlds))
 
 
-def reference(
-    env: Relay, flown: Evaluation, world: int, cost: RelayCost, targets: ChainTargets, settings: DictConfig
-) -> Plan:
+def reference(mission: Mission, flown: Evaluation, world: int, settings: DictConfig) -> Plan:
     """The best trajectory found in one world."""
-    guesses = guesses_on_the_map(env, cost, targets, settings.speeds_mps, settings.intervals, world)
+    guesses = guesses_on_the_map(mission, settings.speeds_mps, settings.intervals, world)
     guesses.append(guess_from(flown.trajectory, world, settings.intervals))
-    return optimise(env, cost, targets, guesses, settings.intervals, world)
+    return optimise(mission, guesses, settings.intervals, world)
 
 
-def problems(settings: DictConfig, env: Relay, targets: ChainTargets) -> dict[str, tuple[Relay, list[str]]]:
-    """Batches of worlds, and the names of these: the configuration's own, twelve starts in free water, layouts."""
+def problems(settings: DictConfig, env: Relay, targets: Tensor) -> dict[str, tuple[Relay, list[str]]]:
+    """Batches of worlds, and the names of these: the configuration's own, twelve starts in free water, layouts.
+
+    Args:
+        settings: of this script.
+        env: the configuration's own world.
+        targets: of the vehicles there, [M, 3], m.
+    """
     streams = RandomStreams.worlds(settings.seed, settings.layouts)
-    drawn = draw_layouts(streams, list(settings.kinds), targets.frame.target)
+    drawn = draw_layouts(streams, list(settings.kinds), targets)
     starts = STARTS[1:, None, :4]
     free = replace(env.scenario, start=starts, obstacles=no_obstacles())
     cluttered = replace(env.scenario, start=drawn.start, obstacles=drawn.obstacles)
@@ -101,18 +103,18 @@ def compare(settings: DictConfig) -> tuple[dict[str, Any], dict[str, Tensor]]:
     rivals = {name: Rival.learn(overrides + list(own)) for name, own in settings.planners.items()}
     first = next(iter(rivals.values()))
     env = build.make_relay(first.config)
-    targets = mean_channel_targets(env.scenario, env.channel)
-    cost = build.make_cost(first.config.cost, env.channel, targets, env.vehicle.tau_max)
+    channel, weights = truth_of(env).channel, build.make_cost(first.config.cost)
+    targets = Mission(env, channel, weights).targets.frame.target
     metrics: dict[str, Any] = {}
     gaps: dict[str, Tensor] = {}
     for problem, (worlds, names) in problems(settings, env, targets).items():
-        flown = {name: rival.fly(worlds, cost, targets) for name, rival in rivals.items()}
-        plans = []
+        flown = {name: rival.fly(worlds, weights) for name, rival in rivals.items()}
+        mission, plans = Mission(worlds, channel, weights), []
         for world, name in enumerate(names):
-            plans.append(reference(worlds, next(iter(flown.values())), world, cost, targets, settings))
+            plans.append(reference(mission, next(iter(flown.values())), world, settings))
             J = " ".join(f"{float(flight.cost[world]):8.3f}" for flight in flown.values())
             log.info("%-16s %8.3f%s %s", name, plans[-1].cost, " " if plans[-1].converged else "*", J)
-        way = worlds.reset().position[..., :2] - targets.frame.target[:, :2]
+        way = worlds.start().vehicles.position[..., :2] - targets[:, :2]
         far = torch.linalg.vector_norm(way, dim=-1).amin(-1) >= (settings.least_way_m if problem == "layouts" else 0.0)
         counted = far & torch.tensor([plan.converged for plan in plans])
         best = torch.tensor([plan.cost for plan in plans], dtype=torch.float64)

@@ -13,29 +13,26 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
 
 import hydra
 import torch
+from learned import learn
 from omegaconf import DictConfig
 from results import leave
-from uwirl.motion.policy import LinkFramePolicy, Policy
 
 from uwirl import build
 from uwirl.config.compose import compose
-from uwirl.config.schema import Config
 from uwirl.config.validate import validate
-from uwirl.motion.planner import LearningPlanner
 from uwirl.motion.targets import mean_channel_targets
-from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.study import campaign
 from uwirl.study.campaign import Outcomes, upper_bound
 from uwirl.world.layouts import Layouts, draw_layouts
 from uwirl.world.obstacles import no_obstacles
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay
+from uwirl.world.truth import truth_of
 
 log = logging.getLogger("uwirl")
 
@@ -46,7 +43,7 @@ BATCH = 250
 
 def swapped(env: Relay, kinds: list[str], count: int) -> tuple[Relay, Layouts]:
     """At most `count` of the worlds with everybody at another's target; after them free water, exactly head-on."""
-    frame = mean_channel_targets(env.scenario, env.channel).frame
+    frame = mean_channel_targets(env.scenario, truth_of(env).channel).frame
     ends, M = frame.target, env.scenario.vehicles
     streams = env.streams
     noise = streams.normal(Stream.INITIAL_STATE, 0, 3 * M).view(-1, M, 3)
@@ -63,44 +60,26 @@ def swapped(env: Relay, kinds: list[str], count: int) -> tuple[Relay, Layouts]:
     return env.select(rows), Layouts(start, obstacles, layouts.kind[rows])
 
 
-def learn(config: Config, env: Relay) -> Callable[[Relay], Policy]:
-    """What one vehicle learns, given to all vehicles of other worlds."""
-    _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator))
-    planner = build.make_planner(config, config.planner, env)
-    if not isinstance(planner, LearningPlanner):
-        raise SystemExit(f"planner={config.planner.name} does not learn")
-    planner.fit(env, estimate)
-
-    def policy_in(worlds: Relay) -> Policy:
-        targets = mean_channel_targets(worlds.scenario, estimate.channel)
-        cost = build.make_cost(config.cost, estimate.channel, targets, worlds.vehicle.tau_max)
-        shared = LinkFramePolicy(targets.frame, planner.policy.actor, planner.policy.trim)
-        return build.make_guidance(config)(worlds, cost, targets)(shared)
-
-    return policy_in
-
-
 def crossings(settings: DictConfig) -> dict[str, Any]:
     """metrics.json: of each mode and number of vehicles, and of all together."""
     config = compose(list(settings.overrides))
     validate(config)
     torch.set_num_threads(config.threads)
     env = build.make_relay(config)
-    policy_in = learn(config, env)
+    one = learn(config, env)
     least_m = 2.0 * env.scenario.vehicle_radius
     metrics: dict[str, Any] = {}
     parts = []
     count = settings.worlds // (2 * len(settings.vehicles))
     for M in settings.vehicles:
         chain = replace(env.scenario, start=env.scenario.start.new_zeros(M, 4), obstacles=no_obstacles())
-        targets = mean_channel_targets(chain, env.channel)
-        cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
+        targets = mean_channel_targets(chain, truth_of(env).channel).frame.target
         streams = RandomStreams.worlds(settings.seed + M, count)
-        crossing = draw_layouts(streams, list(settings.kinds.cross), targets.frame.target)
+        crossing = draw_layouts(streams, list(settings.kinds.cross), targets)
         spare = env.on(chain, RandomStreams.worlds(settings.seed + M, SPARE * count))
         swaps = swapped(spare, list(settings.kinds.swap), count)
         for mode, (worlds, layouts) in {"swap": swaps, "cross": (env.on(chain, streams), crossing)}.items():
-            flown = campaign.fly(worlds, layouts, policy_in, cost, targets, build.make_guard(config), BATCH)
+            flown = campaign.fly(worlds, layouts, one.agent_in, build.make_evaluator(config, worlds), BATCH)
             parts.append(flown)
             metrics |= {f"{mode}_{M}_{key}": value for key, value in summary(flown, least_m).items()}
             log.info("  flown: %s of %d vehicles, %d worlds", mode, M, len(layouts.kind))

@@ -75,7 +75,7 @@ def judge(readings: Readings, channel: Channel, estimate: ChannelEstimate) -> Er
     truth = torch.tensor(
         [channel.K_dB, channel.n, channel.zeta_dB**2, channel.varphi_m, channel.rho_dB**2], dtype=torch.float64
     )
-    _, _, geometry = next(observations(readings, channel))
+    _, _, geometry = next(observations(readings, channel.budget))
     bound = cramer_rao_bound(geometry, Fading(*truth[2:])).diagonal().sqrt()
     # The bound is that of logarithms.
     relative = (estimate.value - truth) / (bound * torch.where(LOGARITHMIC, truth, 1.0))
@@ -124,7 +124,7 @@ def study(settings: DictConfig) -> dict[str, Any]:
                 readings = simulate(scenario, channel, tuple(size), layout, settings.data_sets // settings.layouts)
                 for estimator in parts:
                     begin = time.process_time()
-                    estimate = ESTIMATORS[estimator](readings, channel)
+                    estimate = ESTIMATORS[estimator](readings, channel.budget)
                     spent[estimator] += time.process_time() - begin
                     parts[estimator].append(judge(readings, channel, estimate))
             for estimator, errors in parts.items():

@@ -33,6 +33,7 @@ from uwirl.world.fading import Shadowing, ShadowingField
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario
+from uwirl.world.truth import truth_of
 
 TITLES = (
     "(a) path loss",
@@ -71,10 +72,10 @@ class Fields(NamedTuple):
 
 def fields(env: Relay, places: Tensor, step: int) -> Fields:
     """At places [n, 3], m, in the first world; `step` tells draws of multipath apart."""
-    source = env.scenario.source
-    shadowing = [env.shadowing(source.expand_as(part)[None], part[None])[0] for part in places.split(CHUNK)]
-    multipath = env.streams.normal(Stream.MEASUREMENT, step, len(places))[0] * env.channel.rho_dB
-    mean = env.channel.mean_snr_dB(torch.linalg.vector_norm(places - source, dim=-1))
+    source, truth = env.scenario.source, truth_of(env)
+    shadowing = [truth.shadowing(source.expand_as(part)[None], part[None])[0] for part in places.split(CHUNK)]
+    multipath = env.streams.normal(Stream.MEASUREMENT, step, len(places))[0] * truth.channel.rho_dB
+    mean = truth.channel.mean_snr_dB(torch.linalg.vector_norm(places - source, dim=-1))
     return Fields(mean, torch.cat(shadowing), multipath)
 
 
@@ -101,13 +102,13 @@ def statistics(env: Relay, places: Tensor, drawn: Fields, worlds: int) -> dict[s
         drawn: there.
         worlds: how many.
     """
-    channel, seed = env.channel, int(env.streams.seed[0])
-    zeta, varphi = float(channel.zeta_dB), float(channel.varphi_m)
+    truth, seed = truth_of(env), int(env.streams.seed[0])
+    zeta, varphi = float(truth.channel.zeta_dB), float(truth.channel.varphi_m)
     # Among many worlds a coarser map serves as well.
     some = places[:: max(1, len(places) // 1000)]
     many = Shadowing(zeta, varphi).realise(RandomStreams.worlds(seed, worlds))
     power, covariance = correlation(many, env.scenario.source, some, varphi)
-    own_power, own_covariance = correlation(env.shadowing, env.scenario.source, some, varphi)
+    own_power, own_covariance = correlation(truth.shadowing, env.scenario.source, some, varphi)
     return {
         "zeta_dB": zeta,
         "shadowing_std_map_dB": float(drawn.shadowing.square().mean().sqrt()),
@@ -116,7 +117,7 @@ def statistics(env: Relay, places: Tensor, drawn: Fields, worlds: int) -> dict[s
         "correlation_at_varphi": math.exp(-1.0),
         "correlation_at_varphi_map": float(own_covariance / own_power),
         "correlation_at_varphi_worlds": float(covariance.mean() / power.mean()),
-        "rho_dB": float(channel.rho_dB),
+        "rho_dB": float(truth.channel.rho_dB),
         "multipath_std_map_dB": float(drawn.multipath.square().mean().sqrt()),
     }
 
@@ -198,7 +199,7 @@ def study(settings: DictConfig) -> tuple[dict[str, float | str], Figure]:
     label = f"SNR of links from the source, z = {float(source[2]):g} m (dB)"
     # Left to itself it counts from the lowest level on, and names numbers that are not round.
     figure.colorbar(filled, ax=panels[:4], label=label, ticks=levels[levels % (5 * step) == 0])
-    draw_cut(panels[4], panels[5], distance, cut, env.channel)
+    draw_cut(panels[4], panels[5], distance, cut, truth_of(env).channel)
     return {"overrides": " ".join(settings.overrides), **metrics}, figure
 
 

@@ -13,6 +13,8 @@ Needs matplotlib (extra `plot`).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import hydra
 import torch
 from matplotlib.axes import Axes
@@ -30,8 +32,9 @@ from uwirl.config.validate import validate
 from uwirl.motion.avoidance import Avoidance, Printed, remark_2, smooth
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.link_frame import LinkFrame
-from uwirl.motion.targets import mean_channel_targets
+from uwirl.motion.mission import Mission
 from uwirl.world.scenario import Scenario
+from uwirl.world.truth import truth_of
 from uwirl.world.vehicle import VehicleState
 
 # Colour (told apart by the colour-blind: Okabe and Ito), line and name of each form.
@@ -142,8 +145,8 @@ def study(settings: DictConfig) -> tuple[dict[str, float | int | None], Figure]:
     printed = Printed(settings.c, settings.nu_m)
     forms: dict[str, Avoidance] = {"printed": printed, "remark_2": Printed(c, nu), "default": smooth}
     env = build.make_relay(config)
-    scenario, targets = env.scenario, mean_channel_targets(env.scenario, env.channel)
-    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
+    scenario, mission = env.scenario, Mission(env, truth_of(env).channel, build.make_cost(config.cost))
+    frame = mission.targets.frame
     radii = torch.stack([scenario.obstacles.radius[0], scenario.obstacles.influence[0]])
     x = torch.arange(-4.0, 34.0, settings.spacing_m, dtype=radii.dtype)
     metrics: dict[str, float | int | None] = {"c_remark_2": c, "nu_remark_2_m": nu}
@@ -152,9 +155,9 @@ def study(settings: DictConfig) -> tuple[dict[str, float | int | None], Figure]:
     cut, term, *maps = figure.subplots(2, 2).flatten().tolist()
     draw_curves(cut, term, forms, config.cost, radii)
     for name, form in forms.items():
-        cost.avoidance = form
         height, crest = ring(form, radii[1:])
-        q = state_cost(cost, targets.frame, scenario, x)
+        other = replace(mission, weights=replace(mission.weights, avoidance=form))
+        q = state_cost(other.cost, frame, scenario, x)
         metrics |= {
             f"ring_height_{name}": height,
             f"ring_l_{name}_m": crest,
@@ -162,7 +165,7 @@ def study(settings: DictConfig) -> tuple[dict[str, float | int | None], Figure]:
             f"minima_{name}": len(minima(x, q)),
         }
         if name != "remark_2":
-            filled = draw_map(maps[name == "default"], x, q, scenario, targets.frame.target[0, :2], crest)
+            filled = draw_map(maps[name == "default"], x, q, scenario, frame.target[0, :2], crest)
     ticks = (0.0, 0.01, 0.03, 0.1, 0.2, 0.3)
     figure.colorbar(filled, ax=maps, ticks=ticks, label="$E_L - E_{L,\\min} + \\beta_2 E_O$")
     for axes, title in zip((cut, term, *maps), TITLES, strict=True):

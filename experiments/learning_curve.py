@@ -13,6 +13,7 @@ import logging
 
 import hydra
 import torch
+from learned import learn
 from omegaconf import DictConfig
 from results import leave
 from torch import Tensor
@@ -20,10 +21,7 @@ from torch import Tensor
 from uwirl import build
 from uwirl.config.compose import compose
 from uwirl.config.validate import validate
-from uwirl.motion.planner import LearningPlanner
-from uwirl.motion.targets import mean_channel_targets
-from uwirl.snr.estimators import estimate_each_vehicle
-from uwirl.study.evaluation import cost_of_weights
+from uwirl.study.evaluation import Evaluator
 from uwirl.world.random import RandomStreams
 
 log = logging.getLogger("uwirl")
@@ -65,16 +63,11 @@ def learning_curve(seeds: int, times_s: list[float], overrides: list[str]) -> di
     validate(config)
     torch.set_num_threads(config.threads)
     env = build.make_relay(config, RandomStreams.replicates(range(seeds), config.device))
-    _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator))
-    planner = build.make_planner(config, config.planner, env)
-    if not isinstance(planner, LearningPlanner):
-        raise SystemExit(f"planner={config.planner.name} does not learn")
-    records = list(planner.iterate(env, estimate))
-    targets = mean_channel_targets(env.scenario, env.channel)
-    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
+    learning, state, records = learn(config, env)
+    evaluator = Evaluator(env, build.make_cost(config.cost))
 
     def gaps(weights: Tensor) -> tuple[list[float], list[float]]:
-        J = cost_of_weights(env, planner.policy, weights[:, None], cost, targets, STARTS[:, None, :4])
+        J = evaluator.cost_of_weights(learning, weights[:, None], state.trim, STARTS[:, None, :4])
         reference = STARTS[:, 4]
         over_starts = J[:, 1:].sum(1) / reference[1:].sum() - 1.0
         return (100.0 * over_starts).tolist(), (100.0 * (J[:, 0] / reference[0] - 1.0)).tolist()
@@ -82,7 +75,7 @@ def learning_curve(seeds: int, times_s: list[float], overrides: list[str]) -> di
     curve: dict[str, list[list[float]]] = {"starts": [], "paper": []}
     for time_s in times_s:
         known = [record.actor for record in records if record.seconds <= time_s]
-        starts, paper = gaps(known[-1] if known else planner.start_weights)
+        starts, paper = gaps(known[-1] if known else state.start)
         curve["starts"].append(starts)
         curve["paper"].append(paper)
     return curve

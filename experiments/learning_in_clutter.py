@@ -15,22 +15,22 @@ from typing import Any
 
 import hydra
 import torch
+from learned import Learned, learn
 from omegaconf import DictConfig
 from results import leave
 from torch import Tensor
-from uwirl.motion.policy import Policy
 
 from uwirl import build
+from uwirl.algorithm import Start
 from uwirl.config.compose import compose
 from uwirl.config.schema import Config
 from uwirl.config.validate import validate
-from uwirl.motion.planner import IrlPlanner
-from uwirl.motion.safety import Guard
-from uwirl.motion.targets import mean_channel_targets
+from uwirl.motion.irl_planner import IrlPlanner
 from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.study.campaign import fly, upper_bound
+from uwirl.world.agent import Guard
+from uwirl.world.observation import Observation
 from uwirl.world.relay import Relay
-from uwirl.world.vehicle import VehicleState
 
 log = logging.getLogger("uwirl")
 
@@ -40,37 +40,32 @@ class Watched:
 
     Args:
         guard: who does the work.
-        worlds: B.
+        env: B worlds, whose vehicles know where they are.
     """
 
-    def __init__(self, guard: Guard, worlds: int):
-        self.guard = guard
-        self.clearance = torch.full((worlds,), torch.inf, dtype=torch.float64)  # [B], m
+    def __init__(self, guard: Guard, env: Relay):
+        self.guard, self.scenario = guard, env.scenario
+        self.clearance = torch.full((env.worlds,), torch.inf, dtype=torch.float64)  # [B], m
 
-    def __call__(self, env: Relay, policy: Policy) -> Policy:
-        guarded = self.guard(env, policy)
-
-        def watched(state: VehicleState, step: int) -> Tensor:
-            clearance = env.scenario.clearance(state.position, step * env.scenario.dt).amin(-1)
-            self.clearance = torch.minimum(self.clearance, clearance)
-            return guarded(state, step)
-
-        return watched
+    def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
+        clearance = self.scenario.clearance(observation.position, observation.time).amin(-1)
+        self.clearance = torch.minimum(self.clearance, clearance)
+        return self.guard(tau, observation)
 
 
-def learn(config: Config, env: Relay) -> tuple[IrlPlanner, dict[str, Any]]:
+def learn_in_clutter(config: Config, env: Relay) -> tuple[Learned, dict[str, Any]]:
     """All learners at once, each with weights and random numbers of its own; also entries of metrics.json."""
     one = build.make_relay(config)
-    _, estimate = estimate_each_vehicle(one, build.make_estimator(config.estimator))
+    _, estimate = estimate_each_vehicle(one, build.make_estimator(config.estimator, one))
     planner = build.make_planner(config, config.planner, env)
-    if not isinstance(planner, IrlPlanner) or planner.learners != env.worlds:
+    if not isinstance(planner, IrlPlanner) or planner.experience.learners(env) != env.worlds:
         raise SystemExit("needs planner=irl and experience=virtual_links: a learner for each world")
-    planner.guard = watched = Watched(planner.guard, env.worlds)
-    *_, last = planner.iterate(env, estimate)
+    watched = Watched(build.make_guard(config, env), env)
+    learned = learn(config, env, replace(planner, guard=watched), Start(estimate))
     hit = int((watched.clearance < 0.0).sum())
-    return planner, {
-        "learning_vehicle_seconds": last.seconds * env.worlds,
-        "learning_collisions": planner.recorder.contacts,
+    return learned, {
+        "learning_vehicle_seconds": learned.state.seconds * env.worlds,
+        "learning_collisions": learned.state.contacts,
         "learning_worlds_with_collision": hit,
         "learning_collision_rate_upper_95": upper_bound(hit, env.worlds),
         "learning_min_obstacle_clearance_m": float(watched.clearance.min()),
@@ -86,16 +81,13 @@ def learning_in_clutter(settings: DictConfig) -> dict[str, Any]:
     torch.set_num_threads(config.threads)
     common, layouts = build.make_layouts(config)
     env = common.on(replace(common.scenario, start=layouts.start, obstacles=layouts.obstacles), common.streams)
-    planner, learned = learn(config, env)
-    log.info("  learned: %d worlds, %.0f s in all", env.worlds, learned["learning_vehicle_seconds"])
-    targets = mean_channel_targets(env.scenario, env.channel)
-    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
-    policy = planner.lead(planner.policy)
+    learned, metrics = learn_in_clutter(config, env)
+    log.info("  learned: %d worlds, %.0f s in all", env.worlds, metrics["learning_vehicle_seconds"])
     # In one batch, or weights would come to the wrong vehicles.
-    missions = fly(env, layouts, lambda worlds: policy, cost, targets, build.make_guard(config), env.worlds)
-    metrics = learned | missions.metrics()
+    missions = fly(env, layouts, learned.agent_in, build.make_evaluator(config, env), env.worlds)
+    metrics |= missions.metrics()
     if settings.also_unguarded:
-        _, careless = learn(compose([*overrides, "safety=none"]), env)
+        _, careless = learn_in_clutter(compose([*overrides, "safety=none"]), env)
         metrics |= {f"unguarded_{key}": value for key, value in careless.items()}
     return metrics
 

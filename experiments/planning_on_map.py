@@ -31,6 +31,7 @@ from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.snr.intervals import student_t
 from uwirl.snr.kriging import Kriging
 from uwirl.study import shadowing
+from uwirl.world.truth import truth_of
 
 log = logging.getLogger("uwirl")
 
@@ -60,19 +61,20 @@ def one_seed(overrides: list[str], seed: int) -> tuple[list[float], Example]:
     validate(config)
     env = build.make_relay(config)
     assert env.scenario.vehicles == 1, "one relay"
-    readings, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator))
+    readings, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator, env))
     kriging = Kriging(readings[0], estimate.channel)
     targets = mean_channel_targets(env.scenario, estimate.channel)
-    best = shadowed_targets(env.scenario, lambda p, q: shadowing.true_snr(env, p, q), targets.frame.target)
+    truth = truth_of(env)
+    best = shadowed_targets(env.scenario, truth.snr_dB, targets.frame.target)
     places = torch.cat([targets.frame.target.double(), shadowing.map_targets(env, kriging, targets).double(), best])
-    capacity = env.link_capacities_kbps(places[:, None, None], shadowed=True)[:, 0].amin(-1)
+    capacity = truth.link_capacities_kbps(places[:, None, None], shadowed=True)[:, 0].amin(-1)
     axes = shadowing.map_grid(env, 1.0)
     plane = torch.nn.functional.pad(torch.cartesian_prod(*axes), (0, 1), value=float(places[0, 2]))
-    truth = env.link_capacities_kbps(plane[:, None, None], shadowed=True)[:, 0].amin(-1)
+    carried = truth.link_capacities_kbps(plane[:, None, None], shadowed=True)[:, 0].amin(-1)
     nodes = torch.stack([env.scenario.source, env.scenario.destination]).double()
     expected = kriging.relay(nodes[0], nodes[1], plane)
     shape = len(axes[0]), len(axes[1])
-    example = Example(axes, truth.view(shape), expected.view(shape), places, env.scenario.sensors, nodes)
+    example = Example(axes, carried.view(shape), expected.view(shape), places, env.scenario.sensors, nodes)
     return capacity.tolist(), example
 
 

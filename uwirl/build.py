@@ -13,7 +13,7 @@ from torch import Tensor
 
 from uwirl.config.custom import found, taken
 from uwirl.config.make import make
-from uwirl.config.schema import ChannelConfig, Config, EstimatorConfig, GuardConfig, PlannerConfig
+from uwirl.config.schema import ChannelConfig, Config, CostConfig, EstimatorConfig, GuardConfig, PlannerConfig
 from uwirl.motion.avoidance import smooth
 from uwirl.motion.cost import CostWeights, RelayCost
 from uwirl.motion.features import MotionBasis
@@ -126,9 +126,9 @@ def make_estimator(config: EstimatorConfig, env: Relay | None = None) -> Estimat
     return lambda readings, budget: estimator(reject_outliers(readings, budget), budget)
 
 
-def make_cost(config: Config) -> CostWeights:
+def make_cost(config: CostConfig) -> CostWeights:
     """What missions are judged by, and flown for."""
-    weights: CostWeights = make(config.cost, avoidance=smooth)
+    weights: CostWeights = make(config, avoidance=smooth)
     return weights
 
 
@@ -158,7 +158,7 @@ def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
 
     made: Planner = make(
         planner,
-        cost=make_cost(config),
+        cost=make_cost(config.cost),
         guard=make_guard(config, env),
         guidance=learned if planner.name == "irl" else guidance,
         basis=basis,
@@ -170,4 +170,4 @@ def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
 
 def make_evaluator(config: Config, env: Relay) -> Evaluator:
     """Of missions in these worlds."""
-    return Evaluator(env, make_cost(config), make_guard(config, env))
+    return Evaluator(env, make_cost(config.cost), make_guard(config, env))

@@ -5,19 +5,15 @@ import math
 import pytest
 import torch
 
-from uwirl import build
 from uwirl.irl.networks import LinearActor
 from uwirl.motion.features import ErrorBasis, LinkFrameBasis
-from uwirl.motion.targets import mean_channel_targets
 
 INERTIA_LOWER, DT = (12.0, 12.0, 12.0, 0.2), 0.05
 
 
 @pytest.fixture
-def cost(make_config, make_relay):
-    env = make_relay()
-    targets = mean_channel_targets(env.scenario, env.channel)
-    return build.make_cost(make_config().cost, env.channel, targets, env.vehicle.tau_max)
+def cost(make_mission):
+    return make_mission().cost
 
 
 @pytest.fixture(params=["link_frame", "one_scale", "linear", "error_quadratic", "error_velocity"])

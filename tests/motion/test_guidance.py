@@ -1,16 +1,16 @@
 """Routes round obstacles, and missions led along them."""
 
 import math
+from functools import cache
 
 import pytest
 import torch
 
 from uwirl import build
 from uwirl.motion.route import MapSettings, Router
-from uwirl.motion.targets import mean_channel_targets
-from uwirl.snr.estimators import oracle
-from uwirl.study.evaluation import evaluate
+from uwirl.snr.estimators import Oracle
 from uwirl.world.readings import take_readings
+from uwirl.world.truth import truth_of
 
 
 def cup(radius: float = 5.0, cylinders: int = 9) -> str:
@@ -23,59 +23,52 @@ def cup(radius: float = 5.0, cylinders: int = 9) -> str:
     return ",".join(f"{{center_m:[{x:.3f},{y:.3f}],radius_m:1.2,influence_m:5}}" for x, y in places)
 
 
-DEAD_END = (f"scenario.obstacles=[{cup()}]", "scenario.start=[[20,20,-4,0]]", "scenario.duration_s=120")
+PAPERS = ("experiment=fig5_single", "scenario.duration_s=60")
+DEAD_END = (f"scenario.obstacles=[{cup()}]", "scenario.start=[[20,20,-4,0]]", "scenario.duration_s=60")
 
 
-@pytest.fixture
-def world(make_config, make_relay):
-    def make(*overrides: str):
-        config, env = make_config(*overrides), make_relay(*overrides)
-        truth = oracle(take_readings(env), env.channel)
-        targets = mean_channel_targets(env.scenario, env.channel)
-        cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
-        return config, env, truth, targets, cost
+@pytest.fixture(scope="module")
+def fly(make_config, make_relay):
+    """A PD mission behind the guard, flown once however many ask for it."""
 
-    return make
-
-
-@pytest.fixture
-def fly(world):
-    """A PD mission behind the guard."""
-
+    @cache
     def go(*overrides: str):
-        config, env, truth, targets, cost = world("planner=pd", *overrides)
-        policy = build.make_planner(config, config.planner, env).fit(env, truth)
-        return evaluate(env, policy, cost, targets, env.reset(), build.make_guard(config))
+        overrides = ("planner=pd", *overrides)
+        config, env = make_config(*overrides), make_relay(*overrides)
+        truth = Oracle(truth_of(env).channel)(take_readings(env), env.budget)
+        agent = build.make_planner(config, config.planner, env).fit(env, truth)
+        return build.make_evaluator(config, env).fly(agent)
 
     return go
 
 
-def test_free_water_leads_straight(world):
-    config, env, _, targets, cost = world("experiment=fig5_free")
-    policy = object()
-    assert build.make_guidance(config)(env, cost, targets)(policy) is policy
+def test_free_water_leads_straight(make_config, make_mission):
+    overrides = ("experiment=fig5_free",)
+    controller = object()
+    assert build.make_guidance(make_config(*overrides))(make_mission(*overrides))(controller) is controller
 
 
-def ways(env, targets, cost, start=None):
+def ways(mission, start=None):
     """The plan of all vehicles of one world from the scenario's start, or another."""
-    router = Router(env.scenario, targets.frame, cost, 0.1, MapSettings(spacing_m=0.5))
-    start = env.scenario.start if start is None else start
-    obstacles = env.scenario.obstacles.each(lambda field: field.expand(len(start), *field.shape))
-    return router.plan(torch.arange(len(start)), start[:, :2], obstacles, 0.0)
+    scenario = mission.env.scenario
+    router = Router(scenario, mission.targets.frame, mission.cost, 0.1, MapSettings(spacing_m=0.5))
+    start = scenario.start if start is None else start
+    obstacles = scenario.obstacles.each(lambda field: field.expand(len(start), *field.shape))
+    return router.plan(torch.arange(len(start)), start[:, :2], obstacles, torch.zeros(len(start)))
 
 
 @pytest.mark.parametrize("overrides", [("experiment=fig5_single",), DEAD_END])
-def test_way_keeps_clear_and_arrives(world, overrides):
-    _, env, _, targets, cost = world(*overrides)
-    plan = ways(env, targets, cost)
-    path = plan.map.path(env.scenario.start[None, :, :2])[0, 0]
-    assert float(env.scenario.clearance(path[:, None]).min()) > 0.25
-    torch.testing.assert_close(path[-1], targets.frame.target[0, :2], rtol=0, atol=1e-2)
+def test_way_keeps_clear_and_arrives(make_mission, overrides):
+    mission = make_mission(*overrides)
+    scenario, plan = mission.env.scenario, ways(mission)
+    path = plan.map.path(scenario.start[None, :, :2])[0, 0]
+    assert float(scenario.clearance(path[:, None]).min()) > 0.25
+    torch.testing.assert_close(path[-1], mission.targets.frame.target[0, :2], rtol=0, atol=1e-2)
     assert not bool(plan.blocked.any())
 
 
 def test_mission_goes_round_the_papers_obstacles(fly):
-    evaluation = fly("experiment=fig5_single")
+    evaluation = fly(*PAPERS)
     metrics = evaluation.metrics()
     assert metrics["collisions"] == 0
     assert metrics["min_obstacle_clearance_m"] > 0.5
@@ -109,28 +102,27 @@ def test_a_ring_around_the_target_is_blocked_and_approached_but_not_touched(fly)
     assert 7.3 < float(torch.linalg.vector_norm(evaluation.trajectory.eta[-1, 0, 0, :2])) < 12.0
 
 
-def test_goal_leaves_an_influence_that_reaches_the_target(world):
+def test_goal_leaves_an_influence_that_reaches_the_target(make_mission):
     """An obstacle beside the target: resting there would cost E_O for ever."""
-    _, env, _, targets, cost = world("scenario.obstacles=[{center_m:[1.5,1.5],radius_m:1,influence_m:5}]")
-    plan = ways(env, targets, cost)
-    target = targets.frame.target
+    mission = make_mission("scenario.obstacles=[{center_m:[1.5,1.5],radius_m:1,influence_m:5}]")
+    plan, target = ways(mission), mission.targets.frame.target
     assert 0.3 < float(torch.linalg.vector_norm(plan.goal - target)) < 5.0
-    at_target = cost.obstacle(env.scenario.obstacles, target)
+    at_target = mission.cost.obstacle(mission.env.scenario.obstacles, target)
     assert 0.0 < float(plan.rest_cost) < 0.8 * float(at_target)
 
 
-def test_batch_of_worlds_equals_its_singles(world):
+def test_batch_of_worlds_equals_its_singles(make_mission):
     """Other starts in other worlds: the ways are those of each alone."""
-    _, env, _, targets, cost = world("experiment=fig5_single")
+    mission = make_mission("experiment=fig5_single")
     starts = torch.tensor([[29.5, 29.5, 0, 1], [-20.0, 5.0, 0, 0], [8.0, 20.0, 0, 0]], dtype=torch.float64)
-    together = ways(env, targets, cost, starts)
+    together = ways(mission, starts)
     for k, start in enumerate(starts):
-        alone = ways(env, targets, cost, start[None])
+        alone = ways(mission, start[None])
         torch.testing.assert_close(together.map.value[k], alone.map.value[0], rtol=0, atol=0)
 
 
 def test_obstacles_are_found_on_the_way(fly):
-    known, found = fly("experiment=fig5_single"), fly("experiment=fig5_single", "scenario.detection_range_m=8")
+    known, found = fly(*PAPERS), fly(*PAPERS, "scenario.detection_range_m=8")
     assert found.metrics()["collisions"] == 0
     assert found.time_to_99_percent() is not None
     assert float(known.cost) < float(found.cost) < 1.1 * float(known.cost)
@@ -138,6 +130,6 @@ def test_obstacles_are_found_on_the_way(fly):
 
 def test_drifting_obstacle_is_let_pass(fly):
     crossing = "scenario.obstacles=[{center_m:[10,22],radius_m:2,influence_m:6,velocity_mps:[0.1,-0.4]}]"
-    evaluation = fly(crossing, "guidance.spacing_m=1")
+    evaluation = fly(crossing, "guidance.spacing_m=1", "scenario.duration_s=60")
     assert evaluation.metrics()["collisions"] == 0
     assert evaluation.time_to_99_percent() is not None

@@ -8,114 +8,104 @@ import torch
 from uwirl import build
 from uwirl.irl.policy_iteration import InadmissiblePolicyError, InsufficientDataError
 from uwirl.irl.solvers import BatchLeastSquares, ZRecursiveLeastSquares
+from uwirl.motion.cost import CostWeights
 from uwirl.motion.excitation import Excitation, PoseDraw
-from uwirl.motion.planner import LearningPlanner
-from uwirl.motion.targets import mean_channel_targets
-from uwirl.snr.estimators import estimate_each_vehicle, oracle
-from uwirl.study.evaluation import cost_of_weights, evaluate
+from uwirl.motion.learning import Learning
+from uwirl.snr.estimators import estimate_each_vehicle
+from uwirl.study.evaluation import Evaluator
 from uwirl.world.random import RandomStreams
-from uwirl.world.readings import take_readings
 
 SHORT = ("planner.max_time_s=45", "planner.tolerance_weights=0")
 
 
 @pytest.fixture
-def learn(make_config, make_relay):
-    """Learn with a configuration; returns environment, planner and records."""
-
-    def run(*overrides: str, seeds=None):
-        overrides = ("experiment=fig5_free", *overrides)
-        config = make_config(*overrides)
-        env = make_relay(*overrides, streams=RandomStreams.replicates(seeds) if seeds else None)
-        _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator))
-        planner = build.make_planner(config, config.planner, env)
-        assert isinstance(planner, LearningPlanner)
-        return env, planner, list(planner.iterate(env, estimate))
-
-    return run
-
-
-@pytest.fixture
-def judge(make_config):
+def judge():
     """J of actor weights [K, n3] from the scenario's start on the true channel."""
 
-    def costs(env, planner, weights):
-        targets = mean_channel_targets(env.scenario, env.channel)
-        cost = build.make_cost(make_config().cost, env.channel, targets, env.vehicle.tau_max)
-        return cost_of_weights(env, planner.policy, weights[:, None], cost, targets, env.scenario.start[None])[:, 0]
+    def costs(learned, weights):
+        evaluator, start = Evaluator(learned.env, CostWeights()), learned.env.scenario.start[None]
+        return evaluator.cost_of_weights(learned.learning, weights[:, None], learned.state.trim, start)[:, 0]
 
     return costs
 
 
 def test_forty_five_seconds_of_flight_halve_the_cost(learn, judge):
     """From three tenths of the start policy's gains; the optimum is 3.147."""
-    env, planner, records = learn(*SHORT, "planner.start_gain=0.3")
-    before, after = judge(env, planner, torch.cat([planner.start_weights, records[-1].actor])).tolist()
+    learned = learn(*SHORT, "planner.start_gain=0.3")
+    before, after = judge(learned, torch.cat([learned.state.start, learned.state.learner.actor])).tolist()
     assert before > 7.5
     assert 3.1 < after < 4.0
 
 
 def test_seeds_in_one_batch_learn_as_they_do_alone(learn):
     """Counter-based draws and batched learners: seed 3 in a batch is seed 3 alone."""
-    _, _, together = learn(*SHORT, "estimator=oracle", seeds=[1, 3, 8])
-    _, _, alone = learn(*SHORT, "estimator=oracle", seeds=[3])
-    torch.testing.assert_close(together[3].actor[1], alone[3].actor[0], rtol=1e-6, atol=1e-6)
+    together = learn(*SHORT, "estimator=oracle", seeds=[1, 3, 8])
+    alone = learn(*SHORT, "estimator=oracle", seeds=[3])
+    torch.testing.assert_close(together.records[3].actor[1], alone.records[3].actor[0], rtol=1e-6, atol=1e-6)
 
 
-def test_same_seed_is_bitwise_the_same(learn):
-    first, second = (learn(*SHORT)[2][-1] for _ in range(2))
-    assert torch.equal(first.actor, second.actor)
-    assert torch.equal(first.critic, second.critic)
-
-
-def test_trim_is_learned_from_the_hover(learn):
+def test_trim_is_learned_from_the_hover(make_config, make_relay):
     """B - W = 2 N pushes up; the planner was not told."""
-    env, planner, _ = learn(*SHORT)
-    assert float(planner.policy.trim[0, 2]) == pytest.approx(float(env.vehicle.trim[2]), abs=0.1)
+    config, env = make_config("experiment=fig5_free"), make_relay("experiment=fig5_free")
+    _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator, env))
+    state = Learning(build.make_planner(config, config.planner, env), env, estimate).init()
+    assert float(state.trim[0, 2]) == pytest.approx(float(env.vehicle.trim[2]), abs=0.1)
 
 
 def test_munk_moment_is_identified(learn):
     """The optimal yaw control cancels (m_v - m_u) u v = 7.2 u v, which nobody told the learner (median of seeds)."""
-    overrides = ("planner.max_time_s=120", "planner.tolerance_weights=0")
-    _, _, records = learn(*overrides, seeds=range(5))
-    assert float(records[-1].actor[:, -1].median()) == pytest.approx(24.2 - 17.0, rel=0.25)
+    learned = learn("planner.max_time_s=120", "planner.tolerance_weights=0", seeds=range(5))
+    assert float(learned.state.learner.actor[:, -1].median()) == pytest.approx(24.2 - 17.0, rel=0.25)
 
 
-def test_z_rls_equals_batch_least_squares_in_flight(learn, monkeypatch):
+def test_z_rls_equals_batch_least_squares_in_flight(make_config, make_relay):
     """On the rows of a real flight, with bounds, ridge, prior and relabelled windows."""
-    solvers = []
-    original = ZRecursiveLeastSquares.__init__
-
-    def both(self, operator, regularisation, bounds=None):
-        original(self, operator, regularisation, bounds)
-        solvers.append((self, BatchLeastSquares(operator, regularisation, bounds)))
-
-    add = ZRecursiveLeastSquares.add
-    monkeypatch.setattr(ZRecursiveLeastSquares, "__init__", both)
-    monkeypatch.setattr(ZRecursiveLeastSquares, "add", lambda self, e: (add(self, e), solvers[0][1].add(e))[0])
-    _, _, records = learn(*SHORT)
-    recursive, batch = solvers[0]
-    for weights in (records[-1].actor, 0.5 * records[0].actor):
-        found, expected = recursive.solve(weights), batch.solve(weights)
+    overrides = ("experiment=fig5_free", *SHORT)
+    config, env = make_config(*overrides), make_relay(*overrides)
+    _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator, env))
+    learning = Learning(build.make_planner(config, config.planner, env), env, estimate)
+    state = learning.init()
+    recursive = learning.iteration.solver
+    assert isinstance(recursive, ZRecursiveLeastSquares)
+    batch = BatchLeastSquares(recursive.operator, recursive.regularisation, recursive.bounds)
+    rows = batch.init(state.start)
+    while not learning.is_over(state):
+        leg, state = learning.fly(state)
+        rows, state = batch.add(rows, leg.batch), learning.improve(state, leg)
+    assert leg.batch.groups[1] is not None
+    for weights in (state.learner.actor, 0.5 * state.start):
+        found, expected = recursive.solve(state.learner.solver, weights)[0], batch.solve(rows, weights)[0]
         torch.testing.assert_close(found.actor, expected.actor, rtol=1e-9, atol=1e-9)
 
 
 def test_parallel_worlds_teach_one_learner(learn, judge):
-    env, planner, records = learn("experience=parallel", "experience.worlds=20", "planner.max_time_s=800")
-    assert records[-1].actor.shape == (1, 17)
-    assert records[0].seconds == 14.0 + 20 * 20.0
-    assert float(judge(env, planner, records[-1].actor)[0]) < 3.6
+    learned = learn("experience=parallel", "experience.worlds=20", "planner.max_time_s=800")
+    assert learned.state.learner.actor.shape == (1, 17)
+    assert learned.records[0].seconds == 14.0 + 20 * 20.0
+    assert float(judge(learned, learned.state.learner.actor)[0]) < 3.6
 
 
 def test_one_set_of_weights_or_one_for_each_vehicle(learn):
     pair = ("scenario.start=[[29.5,29.5,0,1],[30.5,28.5,0,2]]",)
-    env, own, _ = learn(*SHORT, *pair)
-    assert own.policy.actor.weight.shape == (2, 17)
-    assert not torch.equal(own.policy.actor.weight[0], own.policy.actor.weight[1])
+    own = learn(*SHORT, *pair).state.learner.actor
+    assert own.shape == (2, 17)
+    assert not torch.equal(own[0], own[1])
     shared = ("experience=parallel", "experience.worlds=5", "planner.max_time_s=200")
-    _, one, _ = learn(*shared, *pair)
-    assert one.policy.actor.weight.shape == (1, 17)
-    assert one.lead(one.policy)(env.reset(), 0).shape == (1, 2, 4)
+    one = learn(*shared, *pair)
+    assert one.state.learner.actor.shape == (1, 17)
+    agent = one.learning.agent(one.state.learner.actor, one.state.trim)
+    _, observation = one.env.reset()
+    assert agent.act(agent.init(observation), observation)[0].shape == (1, 2, 4)
+
+
+def test_the_weights_of_one_vehicle_lead_any_number(learn, make_mission):
+    """In other worlds each vehicle makes for its own target there."""
+    one = learn("planner.max_time_s=20")
+    three = make_mission("scenario.start=[[29.5,29.5,0,1],[25,20,-3,2],[10,0,-5,0]]")
+    agent = one.learning.agent(one.state.learner.actor, one.state.trim, three.env)
+    _, observation = three.env.reset()
+    torch.testing.assert_close(agent.init(observation).target, three.targets.frame.target[None], rtol=0, atol=1e-9)
+    assert agent.act(agent.init(observation), observation)[0].shape == (1, 3, 4)
 
 
 @pytest.mark.parametrize("gain", [0.0, -1.0])
@@ -127,16 +117,6 @@ def test_inadmissible_start_is_refused(learn, gain):
 def test_too_short_a_flight_is_refused(learn):
     with pytest.raises(InsufficientDataError, match="19 rows of experience for 36 unknown weights"):
         learn("planner.max_time_s=15", "experience.relabel=0")
-
-
-def test_pd_flies_to_the_target(make_config, make_relay):
-    config, env = make_config("planner=pd"), make_relay("planner=pd")
-    truth = oracle(take_readings(env), env.channel)
-    policy = build.make_planner(config, config.planner, env).fit(env, truth)
-    targets = mean_channel_targets(env.scenario, env.channel)
-    cost = build.make_cost(config.cost, env.channel, targets, env.vehicle.tau_max)
-    evaluation = evaluate(env, policy, cost, targets, env.reset())
-    assert float(evaluation.chain_capacity[-1, 0]) > 0.99 * evaluation.optimal_capacity
 
 
 def test_excitation_has_its_power_and_band():
@@ -167,7 +147,5 @@ def test_learning_in_a_ring_of_obstacles_touches_none(learn):
     ring = [(29.5 + 6.0 * math.cos(k * math.pi / 4), 29.5 + 6.0 * math.sin(k * math.pi / 4)) for k in range(8)]
     cylinders = ",".join(f"{{center_m:[{x},{y}],radius_m:1,influence_m:5}}" for x, y in ring)
     overrides = (*SHORT, f"scenario.obstacles=[{cylinders}]")
-    _, guarded, _ = learn(*overrides)
-    _, reckless, _ = learn(*overrides, "safety=none")
-    assert guarded.recorder.contacts == 0
-    assert reckless.recorder.contacts > 0
+    assert learn(*overrides).state.contacts == 0
+    assert learn(*overrides, "safety=none").state.contacts > 0

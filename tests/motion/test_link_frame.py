@@ -6,7 +6,9 @@ import pytest
 import torch
 
 from uwirl.motion.link_frame import LinkFrame, relabel
+from uwirl.world.agent import Feedback
 from uwirl.world.relay import Relay
+from uwirl.world.trajectory import WorldState
 from uwirl.world.vehicle import VehicleState
 
 
@@ -27,7 +29,7 @@ def test_relative_by_hand():
 def test_seen_as_places_the_vehicle_where_drawn():
     state = VehicleState.from_eta_nu(normal(5, 2, 4), normal(5, 2, 4, seed=1))
     pose = normal(5, 2, 4, seed=2) * torch.tensor([40.0, 15.0, 8.0, 2.0])
-    xi = LinkFrame.seen_as(state, pose).relative(state)
+    xi = LinkFrame.seen_as(state.eta, pose).relative(state)
     torch.testing.assert_close(xi[..., :4], pose, rtol=0, atol=1e-12)
     torch.testing.assert_close(xi[..., 4:], state.nu)
 
@@ -39,9 +41,10 @@ def test_relabelled_flight_is_the_flight_from_the_other_pose(make_relay):
     start = VehicleState.from_eta_nu(normal(3, 1, 4) + mid_water, 0.3 * normal(3, 1, 4, seed=1))
     tau = 20.0 * normal(60, 3, 1, 4, seed=2)
     frame = LinkFrame(torch.zeros(1, 3, dtype=torch.float64), torch.zeros(1, dtype=torch.float64))
-    flown = frame.relative(env.rollout(lambda _, k: tau[k], start, 60).states)
+    agent = Feedback(lambda observation: tau[int(observation.step[0])])
+    flown = frame.relative(env.rollout(agent, WorldState.of(start), 60).states)
     pose = 2.0 * normal(3, 1, 4, seed=3) + mid_water
-    elsewhere = env.rollout(lambda _, k: tau[k], VehicleState.from_eta_nu(pose, start.nu), 60)
+    elsewhere = env.rollout(agent, WorldState.of(VehicleState.from_eta_nu(pose, start.nu)), 60)
     torch.testing.assert_close(relabel(flown, pose), frame.relative(elsewhere.states), rtol=0, atol=1e-11)
 
 

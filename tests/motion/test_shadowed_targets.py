@@ -98,12 +98,13 @@ def smooth_peak(channel: Channel, peak: list[float], height_dB: float, width_m: 
 def test_a_known_peak_is_scipys(scenario_of, channel: Channel, peak: list[float]):
     """Nearer to the destination, so that around it the source's link is the worse and the peak smooth."""
     scenario, height, width = scenario_of(1), 3.0, 4.0
-    nodes, loss = (np.array([-30.0, -30.0, -8.0]), np.array([30.0, 30.0, -8.0])), channel.absorption_dB_per_km
+    nodes, budget = (np.array([-30.0, -30.0, -8.0]), np.array([30.0, 30.0, -8.0])), channel.budget
 
     def links(p: np.ndarray) -> list[float]:
         """By NumPy alone."""
         lengths = [np.linalg.norm(p - node) for node in nodes]
-        near, far = (channel.K_dB - 10.0 * channel.n * np.log10(l) - loss * l / 1000.0 - channel.N0_dB for l in lengths)
+        spread = (channel.K_dB - 10.0 * channel.n * np.log10(l) - budget.N0_dB for l in lengths)
+        near, far = (s - budget.absorption_dB_per_km * l / 1000.0 for s, l in zip(spread, lengths, strict=True))
         return [near + height * np.exp(-np.sum((p - peak) ** 2) / (2.0 * width**2)), far]
 
     best = optimize.minimize(

@@ -8,11 +8,13 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from uwirl.motion.safety import unguarded
+from uwirl.motion.safety import Unguarded
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.study.campaign import Outcomes
+from uwirl.world.agent import Feedback, Guarded
 from uwirl.world.obstacles import no_obstacles
 from uwirl.world.random import RandomStreams
+from uwirl.world.truth import truth_of
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 
@@ -35,7 +37,7 @@ def test_swaps_start_at_each_others_targets_with_room_for_all(crossing, make_rel
     env = make_relay("experiment=fig5_single", streams=RandomStreams.worlds(5, 24))
     env = env.on(replace(env.scenario, start=torch.zeros(3, 4).double(), obstacles=no_obstacles()), env.streams)
     worlds, layouts = crossing["swapped"](env, ["random", "overlapping"], 10)
-    frame = mean_channel_targets(env.scenario, env.channel).frame
+    frame = mean_channel_targets(env.scenario, truth_of(env).channel).frame
     away = torch.linalg.vector_norm(layouts.start[..., :3] - frame.target.flip(0), dim=-1)
     assert worlds.worlds == len(layouts.kind) == 11
     assert 0.0 < float(away[:-1].amin())
@@ -70,9 +72,9 @@ def test_vehicles_collide_below_two_radii(crossing):
 
 def test_watched_guard_notes_the_smallest_clearance(clutter, make_relay):
     env = make_relay("experiment=fig5_single", "scenario.start=[[25,20,-4,3.14]]")
-    watched = clutter["Watched"](unguarded, 1)
+    watched = clutter["Watched"](Unguarded(), env)
     ahead = torch.tensor([[[60.0, 0.0, 2.0, 0.0]]], dtype=torch.float64)
-    flown = env.rollout(watched(env, lambda state, step: ahead), env.reset(), 200)
+    flown = env.rollout(Guarded(Feedback(lambda observation: ahead), watched), steps=200)
     clearance = env.scenario.clearance(flown.states.position)[:-1].amin()
     assert float(clearance) < 0.0
     torch.testing.assert_close(watched.clearance, clearance[None], rtol=0, atol=0)

@@ -14,9 +14,10 @@ from scipy import stats
 
 from uwirl import build
 from uwirl.snr.estimate import NAMES, ChannelEstimate
-from uwirl.snr.estimators import oracle
+from uwirl.snr.estimators import Oracle
 from uwirl.study import figures
 from uwirl.world.acoustics import Channel
+from uwirl.world.truth import truth_of
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 KINDS = ("rmse_over_bound", "coverage_percent", "told_percent")
@@ -64,7 +65,7 @@ def test_simulated_data_sets_share_their_places(estimators, scenario, channel: C
     assert not bool((readings.snr[1:] == readings.snr[0]).any())
     still = estimators["simulate"](scenario, replace(channel, zeta_dB=0.0, rho_dB=0.0), (5, 3), 1, 4)
     lengths = np.linalg.norm(still.transmitters.numpy()[:, None] - still.receivers.numpy(), axis=-1)
-    mean = -60.0 - 20.0 * np.log10(lengths) - channel.absorption_dB_per_km * lengths / 1000.0 + 104.0
+    mean = -60.0 - 20.0 * np.log10(lengths) - channel.budget.absorption_dB_per_km * lengths / 1000.0 + 104.0
     np.testing.assert_allclose(still.snr, np.broadcast_to(mean, (4, 3, 5)), rtol=0.0, atol=1e-10)
 
 
@@ -89,7 +90,7 @@ def test_judged_by_hand(estimators, scenario, channel: Channel):
     for row, share in ((0, 0.999), (1, 1.001)):
         value[row, :2] += share * width[:2]
         value[row, 2:] *= np.exp(-share * width[2:])
-    estimate = oracle(readings, channel)
+    estimate = Oracle(channel)(readings, channel.budget)
     told = torch.ones(3, 5, dtype=torch.bool)
     told[1, 3] = False
     covariance = torch.from_numpy(np.diag(std**2)).expand(3, 5, 5)
@@ -134,16 +135,16 @@ def test_two_seeds_on_their_maps(planning, make_relay, tmp_path: Path):
     overrides = ["experiment=fig5_free", "channel=acoustic_24khz", "scenario.sensors=64"]
     seeds = [planning["one_seed"](overrides, seed) for seed in range(2)]
     for seed, (capacity, example) in enumerate(seeds):
-        env = make_relay(*overrides, f"seed={seed}")
+        truth = truth_of(make_relay(*overrides, f"seed={seed}"))
         assert example.places[0].tolist() == [0.0, 0.0, -8.0]
         for carried, place in zip(capacity, example.places, strict=True):
-            links = env.link_capacities_kbps(place[None, None], shadowed=True)
+            links = truth.link_capacities_kbps(place[None, None], shadowed=True)
             assert carried == pytest.approx(float(links.amin()), rel=1e-12)
         assert capacity[2] >= max(capacity[:2])
         x, y = example.axes
         assert example.truth.shape == example.expected.shape == (len(x), len(y))
         corner = torch.stack([x[3], y[-2], example.places[0, 2]])
-        links = env.link_capacities_kbps(corner[None, None], shadowed=True)
+        links = truth.link_capacities_kbps(corner[None, None], shadowed=True)
         assert float(example.truth[3, -2]) == pytest.approx(float(links.amin()), rel=1e-9)
     figure = planning["draw"](torch.tensor([capacity for capacity, _ in seeds]), seeds[0][1])
     assert [axes.get_title(loc="left")[:3] for axes in figure.axes[:3]] == ["(a)", "(b)", "(c)"]

@@ -166,14 +166,12 @@ class Learning:
         Args:
             weights: of the actor, [L, n3].
             trim: tau that holds a vehicle at rest, [1 or L, 4].
-            env: other worlds between the same nodes to lead it in; these if None.
+            env: other worlds between the same nodes to lead it in, with as many vehicles, or with any number if the
+                weights are one set for all; these worlds if None.
         """
         mission = self.mission if env is None else Mission(env, self.mission.channel, self.mission.weights)
-        return self.planner.guidance(mission)(self.controller(weights, trim))
-
-    def controller(self, weights: Tensor, trim: Tensor) -> LinkController:
-        """What such an agent is near its target, with weights [L, n3] and trim [1 or L, 4]."""
-        return LinkController(self.mission.targets.frame, LinearActor(self.basis, weights), trim)
+        near = LinkController(mission.targets.frame, LinearActor(self.basis, weights), trim)
+        return self.planner.guidance(mission)(near)
 
     def _recorder(self, state: LearningState) -> Recorder:
         planner, scenario = self.planner, self.env.scenario

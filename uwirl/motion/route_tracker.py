@@ -93,7 +93,12 @@ class RouteTracker:
         return Route(known, self._plan(rows, known, observation), observation.step)
 
     def update(self, route: Route, observation: Observation) -> Route:
-        """With what is detected now; the given route stays as it is."""
+        """With what is detected now; the given route stays as it is.
+
+        Raises:
+            ValueError: the route is of other worlds, or among other obstacles.
+        """
+        _check_carry(route, observation)
         if not (self.discovers or self.drifts):
             return route
         looks = (observation.step % self.look_steps == 0) & (observation.step != route.looked)
@@ -135,6 +140,15 @@ class RouteTracker:
         places = observation.position[..., :2].reshape(-1, 2)[rows]
         time = observation.time.repeat_interleave(observation.eta.shape[1])[rows]
         return self.router.plan(rows, places, known.worlds(rows), time)
+
+
+def _check_carry(route: Route, observation: Observation) -> None:
+    """Refuse what was remembered of another flight: numbers of vehicles might broadcast, and fly to nowhere."""
+    here = (*observation.eta.shape[:2], observation.obstacles.number)
+    remembered = (*route.shape, route.obstacles.number)
+    if remembered != here:
+        was, now = ("{} worlds, {} vehicles and {} obstacles".format(*numbers) for numbers in (remembered, here))
+        raise ValueError(f"the carry is of {was}, the observation of {now}: begin a flight with the agent's init")
 
 
 def _all_alike(values: Tensor) -> bool:
