@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from itertools import combinations
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -64,6 +65,22 @@ class Outcome(NamedTuple):
     truncated: Tensor
 
 
+class _Flown(NamedTuple):
+    """A step of control of so many steps of the world.
+
+    Attributes:
+        world: after it.
+        effort: cost of control, [B, M].
+        gap: from hulls to the nearest obstacle or vehicle after each step, [hold, B, M], m.
+        sent_from: where the last message was sent, [B, M, 3], m.
+    """
+
+    world: WorldState
+    effort: Tensor
+    gap: Tensor
+    sent_from: Tensor
+
+
 class RelayTask:
     """Vehicles that are to form a chain between two nodes at least cost.
 
@@ -102,6 +119,10 @@ class RelayTask:
             raise ValueError(f"nearest_obstacles: must not be negative, got {nearest_obstacles}")
         self.evaluator = evaluator
         self.random_start, self.ends_on_contact = random_start, ends_on_contact
+        around = scenario.obstacles
+        cylinders = torch.cat([around.centre, around.velocity, (around.radius + scenario.vehicle_radius)[:, None]], -1)
+        self._cylinders: list[list[Any]] = cylinders[around.present].tolist()
+        self._pairs = list(combinations(range(scenario.vehicles), 2))
         self.features = Features(scenario, evaluator.mission.targets.frame, nearest_obstacles)
 
     @property
@@ -126,7 +147,7 @@ class RelayTask:
             eta = random_starts(self.scenario, targets, env.streams)
         start = WorldState.of(VehicleState.from_eta_nu(eta))
         world = start._replace(target=targets.expand(B, M, 3).clone())
-        gap = self._gap(world.components[None], world.step[None])[0]
+        gap = self._gap(world)
         around = self.scenario.obstacles
         return TaskState(
             world=world,
@@ -150,37 +171,44 @@ class RelayTask:
         Raises:
             FloatingPointError: the vehicles' dynamics diverged.
         """
-        env, world, observation = judge.env, state.world, judge.env.observe(state.world)
-        command = action * env.vehicle.tau_max
-        path, last, effort = [], None, torch.zeros_like(state.stage)
-        for _ in range(self.hold):
-            wanted = judge.guard(command, observation)
-            # No guard returns the command itself, which need not be looked at again.
-            if wanted is not last:
-                last, tau = wanted, env.vehicle.saturate(wanted)
-                price = judge.mission.cost.control(tau - env.vehicle.trim) * self.scenario.dt
-            effort = effort + price
-            world, observation = env.step(world, tau)
-            path.append(world)
-        stage = self._stage_cost(judge, world)
-        cost = (0.5 * self.hold * self.scenario.dt * (state.stage + stage) + effort).double()
+        flown = self._fly(judge, state, action * judge.env.vehicle.tau_max)
+        stage = self._stage_cost(judge, flown.world)
+        held = self.hold * self.scenario.dt
+        cost = (0.5 * held * (state.stage + stage) + flown.effort).double()
         if not bool(cost.isfinite().all()):
             raise FloatingPointError(f"the dynamics diverged in world {int((~cost.isfinite()).nonzero()[0, 0])}")
-        steps, components = torch.stack([w.step for w in path]), torch.stack([w.components[:3] for w in path])
-        gap = self._gap(components, steps)
-        touching = torch.cat([state.touching[None], gap < 0.0])
+        clearance, touching = flown.gap.amin(0), torch.cat([state.touching[None], flown.gap < 0.0])
         after = TaskState(
-            world=world,
-            snr=self._heard(judge, state, components, steps),
+            world=flown.world,
+            snr=self._heard(judge, state, flown.sent_from),
             stage=stage,
             cost=state.cost + cost,
-            clearance=torch.minimum(state.clearance, gap.amin(0)),
+            clearance=torch.minimum(state.clearance, clearance),
             touching=touching[-1],
             contacts=state.contacts + (touching[1:] & ~touching[:-1]).sum(0),
             blocked=state.blocked,
         )
-        terminated = touching[1:].flatten(2).any(-1).any(0) & self.ends_on_contact
-        return after, Outcome(-cost, terminated, world.step >= self.scenario.steps)
+        terminated = (clearance < 0.0).any(-1) & self.ends_on_contact
+        return after, Outcome(-cost, terminated, flown.world.step >= self.scenario.steps)
+
+    def _fly(self, judge: Evaluator, state: TaskState, command: Tensor) -> _Flown:
+        """Hold a wanted tau [B, M, 4] for one step of control, as far as the guard lets it."""
+        env, cost, world = judge.env, judge.mission.cost, state.world
+        observation, last, sent_at = env.observe(world), None, self._sent_at(world.step)
+        first, final = int(sent_at.min()), int(sent_at.max())
+        sent_from, effort, gaps = world.vehicles.position, torch.zeros_like(state.stage), []
+        for k in range(1, self.hold + 1):
+            wanted = judge.guard(command, observation)
+            # No guard returns the command itself, which need not be looked at again.
+            if wanted is not last:
+                last, tau = wanted, env.vehicle.saturate(wanted)
+                price = cost.control(tau - env.vehicle.trim) * self.scenario.dt
+            effort += price
+            world, observation = env.step(world, tau)
+            gaps.append(self._gap(world))
+            if first <= k <= final:
+                sent_from = torch.where((sent_at == k)[:, None, None], world.vehicles.position, sent_from)
+        return _Flown(world, effort, torch.stack(gaps), sent_from)
 
     def observe(self, judge: Evaluator, state: TaskState) -> Tensor:
         """What the vehicles are told, [B, M, F], float32."""
@@ -189,37 +217,39 @@ class RelayTask:
     def _stage_cost(self, judge: Evaluator, world: WorldState) -> Tensor:
         """(37) without its control term, [B, M]."""
         cost, vehicles = judge.mission.cost, world.vehicles
-        around = cost.obstacle(self.scenario.obstacles, vehicles.position, world.step.double() * self.scenario.dt)
+        # A copy, along whose last axis norms are several times as fast.
+        position, time = vehicles.position.contiguous(), world.step.double() * self.scenario.dt
+        around = cost.obstacle(self.scenario.obstacles, position, time)
         return cost.state(self.features.frame.relative(vehicles)) + around
 
-    def _heard(self, judge: Evaluator, state: TaskState, path: Tensor, steps: Tensor) -> Tensor:
-        """The last SNR readings after a path [hold, 3, B, M] that passes some steps [hold, B], [B, M, 2], dB."""
+    def _sent_at(self, step: Tensor) -> Tensor:
+        """How many steps after `step` [B] the last message of a step of control is sent; none is if not positive."""
         every = round(self.scenario.message_period / self.scenario.dt)
-        message = steps[-1] // every
-        ago = steps[-1] - message * every
-        fresh = ago < self.hold
-        if not bool(fresh.any()):
+        return (step + self.hold) // every * every - step
+
+    def _heard(self, judge: Evaluator, state: TaskState, sent_from: Tensor) -> Tensor:
+        """The last SNR readings after a step of control, [B, M, 2], dB, of a message sent from [B, M, 3]."""
+        sent_at = self._sent_at(state.world.step)
+        if int(sent_at.max()) < 1:
             return state.snr
-        worlds = torch.arange(len(ago), device=ago.device)
-        sent_from = path[(self.hold - 1 - ago).clamp_min(0), :, worlds].mT
+        message = (state.world.step + sent_at) // round(self.scenario.message_period / self.scenario.dt)
         snr = link_snr_heard(self.scenario, judge.truth, judge.env.streams, sent_from, message)
-        return torch.where(fresh[:, None, None] & ~snr.isnan(), snr, state.snr)
+        return torch.where((sent_at > 0)[:, None, None] & ~snr.isnan(), snr, state.snr)
 
-    def _gap(self, path: Tensor, steps: Tensor) -> Tensor:
-        """From each vehicle's hull to the nearest obstacle or vehicle, [n, B, M], m, on paths [n, 3 or more, B, M].
+    def _gap(self, world: WorldState) -> Tensor:
+        """From each vehicle's hull to the nearest obstacle or vehicle, [B, M], m.
 
-        Components first, because a norm over an axis of two would take longer than the world itself.
+        Component by component, because a norm over an axis of two would take longer than the world itself.
         """
-        x, y, z = path[:, 0], path[:, 1], path[:, 2]
-        radius, obstacles = self.scenario.vehicle_radius, self.scenario.obstacles
-        gap = torch.full_like(x, torch.inf)
-        time = (steps.double() * self.scenario.dt).to(x.dtype)[..., None]
-        for k in obstacles.present.nonzero()[:, 0].tolist():
-            at = obstacles.centre[k] + obstacles.velocity[k] * time[..., None]
-            distance = torch.hypot(x - at[..., 0], y - at[..., 1])
-            gap = torch.minimum(gap, distance.sub_(obstacles.radius[k] + radius))
-        for i, j in torch.combinations(torch.arange(x.shape[-1])).tolist():
-            away = torch.hypot(torch.hypot(x[..., i] - x[..., j], y[..., i] - y[..., j]), z[..., i] - z[..., j])
+        x, y, z = world.components[:3]
+        gap, radius = torch.full_like(x, torch.inf), self.scenario.vehicle_radius
+        for at_x, at_y, u, v, reach in self._cylinders:
+            if u or v:
+                time = (world.step.double() * self.scenario.dt).to(x.dtype)[:, None]
+                at_x, at_y = at_x + u * time, at_y + v * time
+            gap = torch.minimum(gap, torch.hypot(x - at_x, y - at_y) - reach)
+        for i, j in self._pairs:
+            away = torch.hypot(torch.hypot(x[:, i] - x[:, j], y[:, i] - y[:, j]), z[:, i] - z[:, j]) - 2.0 * radius
             for vehicle in (i, j):
-                gap[..., vehicle] = torch.minimum(gap[..., vehicle], away - 2.0 * radius)
+                gap[:, vehicle] = torch.minimum(gap[:, vehicle], away)
         return gap

@@ -122,8 +122,9 @@ def link_snr_heard(
     """
     position = position.double()
     link = truth.link_snr_dB(position, shadowed=True)
-    distance = torch.linalg.vector_norm(truth.chain(position).diff(dim=-2), dim=-1)
-    link = link.masked_fill(distance > scenario.hearing_range, torch.nan)
+    if scenario.hearing_range < torch.inf:
+        distance = torch.linalg.vector_norm(truth.chain(position).diff(dim=-2), dim=-1)
+        link = link.masked_fill(distance > scenario.hearing_range, torch.nan)
     multipath = streams.normal(Stream.LINKS, message, 2 * scenario.vehicles).view(-1, scenario.vehicles, 2)
     return torch.stack([link[:, :-1], link[:, 1:]], -1) + truth.channel.rho_dB * multipath
 

@@ -59,7 +59,7 @@ class Truth:
         """
         chain = self.chain(position)
         snr = self.channel.mean_snr_dB(torch.linalg.vector_norm(chain.diff(dim=-2), dim=-1))
-        if not shadowed:
+        if not shadowed or float(self.channel.zeta_dB) == 0.0:
             return snr
         # The field's ends stand in the order source < destination < vehicles.
         first, second = chain[..., :-1, :].clone(), chain[..., 1:, :].clone()
