@@ -1,9 +1,9 @@
-"""What the vector environment costs beside the world that it steps: one step of control of 10,000 worlds, on one thread.
+"""What the vector environment costs beside its world: one step of control of 10,000 worlds, on one thread.
 
 A step of control is ten steps of the world. Beside it stand the same ten steps with the same held tau by themselves,
 `Relay.step` in a loop and `Relay.rollout`: what the environment adds are rewards, contacts, readings of the links,
-observations and numpy arrays. Measured in turn, in processor time, so that other programs disturb little; the ratio is the
-median of those within rounds. Shadowing, of which a reading is a sum of 512 cosines, is measured with fewer worlds.
+observations and numpy arrays. Measured in turn, in processor time, so that other programs disturb little; a ratio
+is the median of those within rounds. Shadowing is measured with fewer worlds: a reading of it is a sum of 512 cosines.
 """
 
 from __future__ import annotations

@@ -114,8 +114,8 @@ class Episodes:
             action: checked, [B, M, 4].
         """
         judge, state = self._now()
-        # Copied, because what was given may be changed or read-only.
-        share = torch.tensor(action, dtype=state.stage.dtype, device=state.stage.device)
+        # A copy, because what was given may be changed later, be read-only or run backwards.
+        share = torch.from_numpy(np.array(action, order="C")).to(state.stage)
         self._state, (reward, terminated, truncated) = self.task.step(judge, state, share)
         if self._paths is not None:
             self._paths.append(self._state.world.vehicles.eta.clone())
