@@ -33,6 +33,7 @@ benchmark: .venv/.installed
 	$(BIN)/python benchmarks/world.py
 	$(BIN)/python benchmarks/planning.py
 	$(BIN)/python benchmarks/sweep.py
+	$(BIN)/python benchmarks/envs.py
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[compare]'
 	$(BIN)/python benchmarks/estimation.py
 

@@ -73,3 +73,30 @@ def snr_heard(
     snr = truth.channel.mean_snr_dB(distance) + shadowing + truth.channel.rho_dB * multipath
     heard = distance <= scenario.hearing_range
     return torch.where(heard & heard[:, :1], snr, torch.nan)
+
+
+def link_snr_heard(
+    scenario: Scenario, truth: Truth, streams: RandomStreams, position: Tensor, message: Tensor
+) -> Tensor:
+    """SNR that each vehicle reads of a message from either neighbour in the chain.
+
+    Mean SNR (6) plus shadowing, which is the same both ways, plus multipath, drawn anew for each reading.
+
+    Args:
+        scenario: hearing range.
+        truth: the channel.
+        streams: random numbers of B worlds.
+        position: of the vehicles in chain order, [B, M, 3], m.
+        message: its number, from 0, int64 [B].
+
+    Returns:
+        From the side of the source and from that of the destination, [B, M, 2], dB, float64; nan where nothing was
+        heard.
+    """
+    position = position.double()
+    link = truth.link_snr_dB(position, shadowed=True)
+    if scenario.hearing_range < torch.inf:
+        distance = torch.linalg.vector_norm(truth.chain(position).diff(dim=-2), dim=-1)
+        link = link.masked_fill(distance > scenario.hearing_range, torch.nan)
+    multipath = streams.normal(Stream.LINKS, message, 2 * scenario.vehicles).view(-1, scenario.vehicles, 2)
+    return torch.stack([link[:, :-1], link[:, 1:]], -1) + truth.channel.rho_dB * multipath

@@ -30,6 +30,7 @@ class Stream(IntEnum):
     SENSOR_PLACEMENT = 5
     LAYOUT = 6
     NAVIGATION = 7
+    LINKS = 8
 
 
 def philox4x32(counter: Tensor, key: Tensor, rounds: int = 10) -> Tensor:

@@ -47,6 +47,22 @@ class Truth:
         shape = (*position.shape[:-2], 1, 3)
         return torch.cat([self.source.expand(shape), position, self.destination.expand(shape)], -2)
 
+    def link_snr_dB(self, position: Tensor, shadowed: bool = False) -> Tensor:
+        """SNR of each link of the chain, without multipath, [..., M + 1], dB, of vehicles at [..., M, 3].
+
+        Args:
+            position: [..., M, 3], or [..., B, M, 3] where shadowed, m.
+            shadowed: whether of path loss and shadowing, or of path loss alone.
+        """
+        chain = self.chain(position)
+        snr = self.channel.mean_snr_dB(torch.linalg.vector_norm(chain.diff(dim=-2), dim=-1))
+        if not shadowed or float(self.channel.zeta_dB) == 0.0:
+            return snr
+        # The field's ends stand in the order source < destination < vehicles.
+        first, second = chain[..., :-1, :].clone(), chain[..., 1:, :].clone()
+        first[..., -1, :], second[..., -1, :] = chain[..., -1, :], chain[..., -2, :]
+        return snr + self.shadowing(first, second).to(snr.dtype)
+
     def link_capacities_kbps(self, position: Tensor, shadowed: bool = False) -> Tensor:
         """Capacity of each link, [..., M + 1], of vehicles at [..., M, 3]; the chain's is their minimum (5).
 
@@ -54,14 +70,7 @@ class Truth:
             position: [..., M, 3], or [..., B, M, 3] where shadowed, m.
             shadowed: whether of path loss and shadowing, or of path loss alone, the mean capacity.
         """
-        chain = self.chain(position)
-        snr = self.channel.mean_snr_dB(torch.linalg.vector_norm(chain.diff(dim=-2), dim=-1))
-        if shadowed:
-            # The field's ends stand in the order source < destination < vehicles.
-            first, second = chain[..., :-1, :].clone(), chain[..., 1:, :].clone()
-            first[..., -1, :], second[..., -1, :] = chain[..., -1, :], chain[..., -2, :]
-            snr = snr + self.shadowing(first, second).to(snr.dtype)
-        return self.channel.capacity_kbps(snr)
+        return self.channel.capacity_kbps(self.link_snr_dB(position, shadowed))
 
 
 class _Water(Protocol):

@@ -1,0 +1,122 @@
+"""What a learner from elsewhere is told: an observation as numbers of order one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from uwirl.motion.link_frame import LinkFrame
+from uwirl.world.geometry import to_body, turned_to_body
+from uwirl.world.observation import Observation
+from uwirl.world.scenario import Scenario
+
+# Beyond this, entries are clipped.
+LIMIT = 2.0
+# What 1 stands for: about as fast as a BlueROV2 goes, and a strong link.
+SPEED_MPS, YAW_RATE_RAD_S, SNR_DB = 2.0, 4.0, 20.0
+# Clearance at which an obstacle is as good as absent, m.
+FAR_M = 20.0
+
+POSE = ("e_par", "e_perp", "e_z", "sin_yaw", "cos_yaw", "u", "v", "w", "r")
+OBSTACLE = ("x", "y", "clearance")
+LINKS = ("snr_previous", "snr_next")
+NEIGHBOUR = ("x", "y", "z", "x_to_go", "y_to_go", "z_to_go", "heard")
+
+
+@dataclass(frozen=True)
+class Features:
+    """F numbers for each vehicle; `names` says which, docs/environments.md what they mean.
+
+    Each is divided by a length, speed or level of the size that it commonly has and clipped at LIMIT.
+
+    Attributes:
+        scenario: nodes, depth, hearing range, vehicle radius.
+        frame: of each vehicle's target, M + 1 equal hops between the nodes, which every vehicle knows.
+        obstacles: how many of those detected are listed, nearest first.
+    """
+
+    scenario: Scenario
+    frame: LinkFrame
+    obstacles: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the F entries."""
+        listed = (f"obstacle_{k + 1}_{name}" for k in range(self.obstacles) for name in OBSTACLE)
+        sides = ("previous", "next") if self.scenario.vehicles > 1 else ()
+        neighbours = (f"{side}_{name}" for side in sides for name in NEIGHBOUR)
+        return (*POSE, *listed, *LINKS, *neighbours)
+
+    @property
+    def half_span(self) -> float:
+        """Half the distance between source and destination, m."""
+        return 0.5 * float(torch.linalg.vector_norm(self.scenario.destination - self.scenario.source))
+
+    def __call__(self, observation: Observation, snr: Tensor) -> Tensor:
+        """[B, M, F], float32, a new tensor.
+
+        Args:
+            observation: of B worlds.
+            snr: what each vehicle has read last from the side of the source and of the destination, [B, M, 2], dB; nan
+                where it has heard nothing.
+        """
+        links = torch.nan_to_num(snr / SNR_DB, nan=-LIMIT).unbind(-1)
+        rows = [*self._pose(observation), *self._nearest(observation), *links, *self._neighbours(observation)]
+        # Entries first, and turned round in the end: written one beside the other they take four times as long.
+        return torch.stack([row.float() for row in rows]).clamp_(-LIMIT, LIMIT).movedim(0, -1).contiguous()
+
+    def _pose(self, observation: Observation) -> list[Tensor]:
+        along, across, up, yaw, u, v, w, r = self.frame.relative(observation).unbind(-1)
+        place = [along / self.half_span, across / self.half_span, up / (0.5 * self.scenario.depth)]
+        speed = [u / SPEED_MPS, v / SPEED_MPS, w / SPEED_MPS, r / YAW_RATE_RAD_S]
+        return [*place, torch.sin(yaw), torch.cos(yaw), *speed]
+
+    def _nearest(self, observation: Observation) -> list[Tensor]:
+        """Offset in body axes and clearance of the nearest obstacles; (0, 0, 1) where there is none."""
+        known, (x, y, _, psi) = observation.obstacles, observation.eta[..., None].unbind(-2)
+        time = observation.time.to(x.dtype)[:, None, None]
+        dx, dy = (known.centre[..., k] + known.velocity[..., k] * time - at for k, at in enumerate((x, y)))
+        clearance = torch.hypot(dx, dy) - (known.radius + self.scenario.vehicle_radius)
+        clearance = torch.where(known.present, clearance, torch.inf)
+        offset = to_body(dx, dy, psi)
+        if known.number > 1:
+            clearance, order = clearance.sort(-1)
+            offset = offset[0].gather(-1, order), offset[1].gather(-1, order)
+        near, nothing = clearance <= FAR_M, torch.zeros_like(psi[..., 0])
+        axes = [
+            torch.where(near, axis / FAR_M, none)
+            for axis, none in zip((*offset, clearance), (0.0, 0.0, 1.0), strict=True)
+        ]
+        listed = [axis[..., k] for k in range(min(known.number, self.obstacles)) for axis in axes]
+        return listed + [nothing, nothing, nothing + 1.0] * max(0, self.obstacles - known.number)
+
+    def _neighbours(self, observation: Observation) -> list[Tensor]:
+        """What the vehicles before and after each in the chain have told it; zeros where nobody has.
+
+        Nothing at all where there is one vehicle only.
+        """
+        M, place, target = observation.eta.shape[1], observation.messages.eta[..., :3], observation.messages.target
+        if M == 1:
+            return []
+        told: list[Tensor] = []
+        for side in (-1, 1):
+            theirs, goal = _of_neighbour(place, side), _of_neighbour(target, side)
+            offset = theirs - observation.position
+            there = torch.arange(M, device=offset.device) + side
+            heard = torch.linalg.vector_norm(offset, dim=-1) <= self.scenario.hearing_range
+            heard = heard & (there >= 0) & (there < M)
+            ways = [turned_to_body(way, observation.eta[..., 3]) / self.half_span for way in (offset, goal - theirs)]
+            rows = [*ways[0].unbind(-1), *ways[1].unbind(-1), torch.ones_like(offset[..., 0])]
+            told += [torch.where(heard, row, 0.0) for row in rows]
+        return told
+
+
+def _of_neighbour(told: Tensor, side: int) -> Tensor:
+    """What each vehicle has been told by the one before (-1) or after it (1), [B, M, k], of told [B, M, M, k].
+
+    Whoever stands at the end of the chain gets zeros.
+    """
+    values = told.diagonal(side, 1, 2).movedim(-1, 1)
+    return torch.nn.functional.pad(values, (0, 0, 1, 0) if side < 0 else (0, 0, 0, 1))
