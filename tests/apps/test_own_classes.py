@@ -31,17 +31,37 @@ def fly(call, tmp_path):
     """fly("key=value", ...): what a run leaves in metrics.json."""
 
     def flown(*overrides: str):
-        call(run.main, *FREE, *overrides, f"hydra.run.dir={tmp_path}/run")
+        flags, words = overrides[:2] if overrides[0].startswith("--") else (), overrides
+        words = [word for word in words if word not in flags]
+        call(run.main, *flags, *FREE, *words, f"hydra.run.dir={tmp_path}/run")
         return run_folder.read_metrics(tmp_path / "run")
 
     return flown
 
 
 def test_planner(fly):
-    metrics = fly("planner=own", "planner.target=own.Pursuit", "+planner.settings.speed_mps=0.5")
+    metrics = fly("planner=custom", "planner.target=own.Pursuit", "+planner.settings.speed_mps=0.5")
     assert metrics["status"] == "complete"
     # From 15 m away straight at the target, at no more than the speed.
     assert 0.8 * 0.5 * 20.0 < metrics["path_length_m"] <= 0.5 * 20.0
+
+
+def test_a_new_planner_is_a_module_and_a_file(fly, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(
+        "class Hover:\n"
+        "    def __init__(self, share):\n"
+        "        self.share = share\n"
+        "    def fit(self, env, estimate):\n"
+        "        return lambda state, step: self.share * env.vehicle.trim.expand(*state.eta.shape)\n"
+    )
+    (tmp_path / "conf" / "planner").mkdir(parents=True)
+    option = "name: mine\ntarget: mine.Hover\nsettings: {share: 1.0}\n"
+    (tmp_path / "conf" / "planner" / "mine.yaml").write_text(option)
+    metrics = fly("--config-dir", "conf", "planner=mine")
+    assert metrics["status"] == "complete"
+    assert metrics["path_length_m"] < 0.1
+    sys.modules.pop("mine")
 
 
 def test_estimator(fly):

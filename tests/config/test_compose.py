@@ -7,10 +7,12 @@ import subprocess
 import sys
 from dataclasses import asdict
 
+import hydra
 import pytest
 from omegaconf import OmegaConf
 
-from uwirl.config.compose import compose, folder
+from uwirl.config.compose import compose, composed, folder, searching
+from uwirl.config.schema import register
 from uwirl.config.validate import ConfigError, validate
 
 GROUPS = [
@@ -66,6 +68,31 @@ def test_likelihood_is_the_default(make_config):
     assert not make_config().estimator.robust
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["seed=3", "scenario.start.0.1=2", "scenario.obstacles.1.radius_m=1.5", "+planner.settings.a={b: [1, 2]}"],
+        ["planner.max_time_s=900", "experience=parallel", "++seed=4", "channel.frequency_khz=null"],
+        ["experiment=random_layouts", "scenario.layouts.kinds=[ring]", "ablation=no_map", "channel.water.pH=7.5"],
+        ["scenario.obstacles=[{center_m: [1, 2], radius_m: 3, influence_m: 4}]", "resume='a=b,c'"],
+        ["hydra.job.chdir=true", "hydra/job_logging=default", "channel.water={pH: 7.5}"],
+        ["planner@baseline=irl", "baseline.updates=2", "planner.start_gain=${cost.beta_1}", "hydra.run.dir=x"],
+    ],
+    ids=" ".join,
+)
+def test_what_is_composed_is_what_hydra_composes(words: list[str]):
+    register()
+    with searching():
+        theirs = hydra.compose("config", words, return_hydra_config=True)
+    ours = composed("config", words, whole=True)
+    both = [OmegaConf.to_container(config) for config in (ours, theirs)]
+    for values in both:
+        # What was said, and where Hydra ran.
+        values["hydra"] |= {"overrides": None, "job": values["hydra"]["job"]["chdir"], "runtime": None}
+    assert both[0] == both[1]
+
+
 ABLATIONS = [name for group, name in FILES if group == "ablation" and name != "none"]
 # What a choice declares by interpolation in other files.
 FOLLOWS = {"parallel": ["planner.max_time_s"]}
@@ -74,7 +101,9 @@ FOLLOWS = {"parallel": ["planner.max_time_s"]}
 @pytest.mark.parametrize("channel", ["paper", "acoustic_24khz"])
 @pytest.mark.parametrize("ablation", ABLATIONS)
 def test_an_ablation_changes_what_it_declares_and_nothing_else(make_config, ablation: str, channel: str):
-    plain, ablated = (asdict(make_config(f"channel={channel}", f"ablation={name}")) for name in ("none", ablation))
+    # Composed already, by the test above, where the channel is the default.
+    words = [] if channel == "paper" else [f"channel={channel}"]
+    plain, ablated = (asdict(make_config(*words, f"ablation={name}")) for name in ("none", ablation))
     assert ablated != plain
     file = OmegaConf.to_container(OmegaConf.load(folder() / "ablation" / f"{ablation}.yaml"))
     choices = [next(iter(entry)).removeprefix("override /") for entry in file.pop("defaults", [])]

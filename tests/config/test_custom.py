@@ -142,6 +142,16 @@ ACCEPTED = [
 ]
 
 
+@pytest.mark.parametrize("first", ["", "defaults: [own_schema]\n"], ids=["plain", "with the schema it once needed"])
+def test_a_file_is_all_that_it_takes(tmp_path, first):
+    (tmp_path / "conf" / "planner").mkdir(parents=True)
+    option = f"{first}name: needy\ntarget: mine.Needy\nsettings: {{gain: 2}}\n"
+    (tmp_path / "conf" / "planner" / "needy.yaml").write_text(option)
+    config = compose(["planner=needy"], "conf")
+    validate(config)
+    assert (config.planner.name, config.planner.settings) == ("needy", {"gain": 2})
+
+
 PROTOCOLS = {schema.family: family.protocol for schema, family in FAMILIES.items()}
 
 

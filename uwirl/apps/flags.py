@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from uwirl.config.checks import ConfigError
 from uwirl.config.suggestions import did_you_mean, similar
 
-SWITCHES = {
-    "--help": "-h",
-    "--hydra-help": "",
-    "--version": "",
-    "--resolve": "",
-    "--run": "-r",
-    "--multirun": "-m",
-    "--shell-completion": "-sc",
+SWITCH: dict[str, Any] = {"action": "store_true"}
+FLAGS: dict[tuple[str, ...], dict[str, Any]] = {
+    ("--help", "-h"): SWITCH,
+    ("--hydra-help",): SWITCH,
+    ("--version",): SWITCH,
+    ("--cfg", "-c"): {"choices": ["job", "hydra", "all"]},
+    ("--resolve",): SWITCH,
+    ("--package", "-p"): {},
+    ("--run", "-r"): SWITCH,
+    ("--multirun", "-m"): SWITCH,
+    ("--shell-completion", "-sc"): SWITCH,
+    ("--config-path", "-cp"): {},
+    ("--config-name", "-cn"): {},
+    ("--config-dir", "-cd"): {},
+    ("--experimental-rerun",): {},
+    ("--info", "-i"): {"nargs": "?", "const": "all"},
 }
-VALUES = {
-    "--package": "-p",
-    "--config-path": "-cp",
-    "--config-name": "-cn",
-    "--config-dir": "-cd",
-    "--experimental-rerun": "",
-}
+# With these, something else than the configuration is shown or run.
+HYDRAS = ("hydra_help", "version", "shell_completion", "experimental_rerun", "info", "config_path", "config_name")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -41,28 +44,12 @@ def read_flags(arguments: Sequence[str]) -> argparse.Namespace:
     """
     parser = _Parser(add_help=False)
     parser.add_argument("overrides", nargs="*")
-    for name, short in SWITCHES.items():
-        parser.add_argument(*filter(None, (name, short)), action="store_true")
-    for name, short in VALUES.items():
-        parser.add_argument(*filter(None, (name, short)))
-    parser.add_argument("--cfg", "-c", choices=["job", "hydra", "all"])
-    # Of what it may show, Hydra knows more.
-    parser.add_argument("--info", "-i", nargs="?", const="all")
+    for names, options in FLAGS.items():
+        parser.add_argument(*names, **options)
     flags, rest = parser.parse_known_args(list(arguments))
     for word in rest:
         if word.startswith("-"):
-            near = did_you_mean(similar(word, [*SWITCHES, *VALUES, "--cfg", "--info"]))
+            near = did_you_mean(similar(word, [name for names in FLAGS for name in names]))
             raise ConfigError(word, f"no such flag{near}; --hydra-help lists them")
         raise ConfigError(word, "stands behind a flag; write all of key=value together, flags before or after them")
     return flags
-
-
-def is_hydras_affair(flags: argparse.Namespace) -> bool:
-    """Whether something else than this configuration is shown or run."""
-    others = (flags.hydra_help, flags.version, flags.shell_completion, flags.experimental_rerun, flags.info)
-    return any(others) or bool(flags.config_path or flags.config_name)
-
-
-def is_sweep(flags: argparse.Namespace) -> bool:
-    """Whether several jobs are asked for."""
-    return flags.multirun or any(word.startswith("hydra.mode=") for word in flags.overrides)

@@ -18,7 +18,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from uwirl.apps.flags import is_hydras_affair, is_sweep, read_flags
+from uwirl.apps.flags import HYDRAS, read_flags
 from uwirl.apps.terminal import BAD_CONFIGURATION, FAILED, one_message, say, tell
 from uwirl.config import compose
 from uwirl.config.estimate_schema import register
@@ -116,12 +116,12 @@ class Program:
             with compose.searching(flags.config_dir) as loader:
                 code = tell(self.name, help_text(self.name, Groups(loader, self.primary)))
             sys.exit(code)
-        if is_hydras_affair(flags):
+        if any(getattr(flags, name) for name in HYDRAS):
             return list(arguments)
         # Flags come before all overrides, or Hydra reads neither.
         words = [word for word in arguments if word not in flags.overrides]
         flags.overrides = self.overrides(flags)
-        if is_sweep(flags):
+        if flags.multirun or any(word.startswith("hydra.mode=") for word in flags.overrides):
             check_jobs(self.primary, flags.overrides, flags.config_dir)
             return [*words, *flags.overrides]
         composed = compose.composed(self.primary, flags.overrides, flags.config_dir)

@@ -131,13 +131,11 @@ class Keys:
         known = field_types(schema)
         for name, part in value.items():
             inner = f"{key}.{name}" if key else str(name)
-            new = self.added and key.startswith("hydra.")
-            if name not in known and inner != "hydra" and not new:
+            if name not in known and inner != "hydra" and not (self.added and inner.startswith("hydra.")):
                 raise self._unknown(inner, list(known), _path(part))
             # Of single values the type says all.
-            self.check(
-                part, known.get(name, Any), inner, _child(node, name) if isinstance(part, (dict, list)) else None
-            )
+            child = _child(node, name) if isinstance(part, (dict, list)) else None
+            self.check(part, known.get(name, Any), inner, child)
 
     def _check_item(self, value: Any, annotation: Any, key: str, node: Any = None) -> None:
         (item,) = typing.get_args(annotation) or (Any,)

@@ -48,7 +48,6 @@ OURS = "uwirl.snr.estimators."
 ESTIMATORS = ("least_squares", "generalized_least_squares", "separate", "maximum_likelihood", "disk", "oracle")
 InitPart = StrEnum("InitPart", ["estimate", "weights"])
 Dtype = StrEnum("Dtype", ["float64", "float32"])
-Direction = StrEnum("Direction", ["minimize", "maximize"])
 
 
 @dataclass
@@ -121,13 +120,16 @@ class SearchConfig(Section):
     seeds: list[int] = MISSING  # each trial is flown with all of them
     n_trials: int = ruled(at_least(1))  # how many points of the space
     n_jobs: int = ruled(at_least(1))  # trials that are drawn at once, none knowing of the others
-    direction: Direction = MISSING  # what is done to the mean of J over the seeds
+    direction: str = MISSING  # minimize | maximize: what is done to the mean of J over the seeds
     params: dict[str, str] = MISSING  # setting: what it may be, in Hydra's grammar of sweeps
     sampler: Any = MISSING  # optuna's, of the group hydra/sweeper/sampler
 
     def problems(self) -> Iterator[tuple[str, str]]:
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
             yield "seeds", f"needs one or more different seeds, got {self.seeds}"
+        problem = unlike(self.direction, ("minimize", "maximize"))
+        if problem:
+            yield "direction", problem
 
 
 @cache

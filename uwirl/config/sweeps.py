@@ -53,8 +53,8 @@ def space(name: str, words: Sequence[str], config_dir: str | None = None) -> lis
     sweeper = composed(name, own, config_dir, whole=True).hydra.sweeper
     params = {str(key): f"{key}={value}" for key, value in (sweeper.get("params") or {}).items()}
     if "seeds" in sweeper:
-        given_numbers = {name: sweeper[name] for name in ("n_trials", "n_jobs")}
-        SearchConfig(seeds=list(sweeper.seeds), **given_numbers).check("hydra.sweeper")
+        ruled = {name: sweeper[name] for name in ("n_trials", "n_jobs", "direction")}
+        SearchConfig(seeds=list(sweeper.seeds), **ruled).check("hydra.sweeper")
         if "seed" in given or "seed" in params:
             raise ConfigError("seed", "of a search is set for each trial; choose with hydra.sweeper.seeds=[0,1,2]")
     return [word for key, word in params.items() if key not in given]
