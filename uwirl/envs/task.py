@@ -15,8 +15,8 @@ from uwirl.study.evaluation import Evaluator
 from uwirl.world.messages import link_snr_heard
 from uwirl.world.random import RandomStreams
 from uwirl.world.regions import separated
-from uwirl.world.trajectory import WorldState
 from uwirl.world.scenario import Scenario
+from uwirl.world.trajectory import WorldState
 from uwirl.world.vehicle import VehicleState
 
 
