@@ -76,7 +76,7 @@ def test_what_breaks_them_is_noticed(house: Path, module: str, line: str, broken
         else:
             place.write_text(before, encoding="utf-8")
     assert result.returncode == 1, result.stdout + result.stderr
-    assert re.search(rf"{broken}.* BROKEN$", result.stdout, re.MULTILINE), result.stdout
+    assert re.search(rf"{broken}.* BROKEN\b", result.stdout), result.stdout
 
 
 def test_nobody_takes_the_truth_by_another_door():
