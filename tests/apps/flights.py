@@ -12,7 +12,7 @@ import torch
 
 from uwirl.config.compose import compose
 from uwirl.config.validate import validate
-from uwirl.runs import algorithm
+from uwirl.runs.run import run
 from uwirl.study import checkpoint
 
 QUIET = ("logging.figures=false", "logging.tensorboard=false", "logging.animation=false", "logging.progress=false")
@@ -32,7 +32,7 @@ def go(folder: Path, *overrides: str) -> dict:
     folder.mkdir(parents=True, exist_ok=True)
     config = compose(overrides)
     validate(config)
-    return algorithm.run(config, "fig5_free", folder, overrides)
+    return run(config, "fig5_free", folder, overrides)
 
 
 def assert_same(folder: Path, whole: Path) -> None:

@@ -14,7 +14,8 @@ from uwirl.apps import evaluate
 from uwirl.config.compose import compose
 from uwirl.config.schema import register
 from uwirl.config.validate import ConfigError, validate
-from uwirl.runs import algorithm, evaluation
+from uwirl.runs import evaluation
+from uwirl.runs.run import run
 from uwirl.study import checkpoint, learning_file, shadowing
 from uwirl.study.checkpoint import CheckpointError
 
@@ -33,7 +34,7 @@ def learn(folder: Path, *overrides: str) -> dict:
     folder.mkdir(parents=True, exist_ok=True)
     config = compose([*SHORT, *overrides])
     validate(config)
-    return algorithm.run(config, "fig5_free", folder, [*SHORT, *overrides])
+    return run(config, "fig5_free", folder, [*SHORT, *overrides])
 
 
 def checked(arguments: Sequence[str]) -> tuple[Path, list[str]]:
@@ -163,7 +164,7 @@ def test_one_part_serves_two_vehicles(source, tmp_path, part, others):
     lines = [text for text in SHORT if "max_time" not in text or "planner=pd" not in others]
     config = compose([*lines, f"init_from={source}", f"init_from_parts=[{part}]", *others])
     validate(config)
-    metrics = algorithm.run(config, "fig5_free", tmp_path)
+    metrics = run(config, "fig5_free", tmp_path)
     assert metrics["status"] == "complete"
     before = checkpoint.load(source / "checkpoints" / "last.pt")
     if part == "estimate":

@@ -15,8 +15,9 @@ from pathlib import Path
 import pytest
 from flights import SHORT, assert_same, command, go, uwirl
 
+from uwirl import algorithm
 from uwirl.apps.run import main
-from uwirl.runs import algorithm, saving
+from uwirl.runs import saving
 from uwirl.runs.interruption import Interrupted
 from uwirl.study import checkpoint
 from uwirl.study.checkpoint import CheckpointError
@@ -138,7 +139,7 @@ def test_sigterm_finishes_the_leg_and_says_how_to_go_on(tmp_path, whole):
         "def leg(env, flight, *rest):\n"
         "    if flight.leg == 4: os.kill(os.getpid(), signal.SIGTERM)\n"
         "    return fly(env, flight, *rest)\n"
-        "experience._fly_leg = leg; main()"
+        "experience.Exploration.flown = leg; main()"
     )
     folder = tmp_path / "run"
     command = [sys.executable, "-c", program, *SHORT, f"hydra.run.dir={folder}"]
@@ -157,7 +158,7 @@ def test_sigint_before_the_first_checkpoint_says_so(tmp_path, monkeypatch):
     def interrupted(*_):
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(algorithm, "estimate_each_vehicle", interrupted)
+    monkeypatch.setattr(algorithm, "readings_of_each_vehicle", interrupted)
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(Interrupted) as caught:
         go(tmp_path, *SHORT)
@@ -174,7 +175,7 @@ def test_second_signal_kills_at_once(tmp_path):
         "import os, signal; from uwirl.apps.run import main; from uwirl.motion import experience\n"
         "def leg(*_):\n"
         "    for _ in range(2): os.kill(os.getpid(), signal.SIGTERM)\n"
-        "experience._fly_leg = leg; main()"
+        "experience.Exploration.flown = leg; main()"
     )
     command = [sys.executable, "-c", program, *SHORT, "hydra.run.dir=run"]
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)

@@ -10,8 +10,9 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from uwirl import algorithm
 from uwirl.config.validate import validate
-from uwirl.runs import algorithm
+from uwirl.runs import run as runs
 from uwirl.snr.estimate import NAMES
 from uwirl.study import checkpoint, run_folder
 
@@ -29,7 +30,7 @@ def run(make_config, tmp_path):
     def go(*overrides: str):
         config = make_config(*overrides)
         validate(config)
-        return config, algorithm.run(config, "test", tmp_path), tmp_path
+        return config, runs.run(config, "test", tmp_path), tmp_path
 
     return go
 
@@ -41,7 +42,7 @@ def complete(tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("run")
     config = compose(SHORT)
-    return config, algorithm.run(config, "test", folder), folder
+    return config, runs.run(config, "test", folder), folder
 
 
 def test_metrics_file_is_flat_json(complete):
@@ -249,7 +250,7 @@ def test_a_bug_is_written_down_and_raised(run, monkeypatch, tmp_path):
     def broken(*arguments):
         raise KeyError("not foreseen")
 
-    monkeypatch.setattr(algorithm, "estimate_each_vehicle", broken)
+    monkeypatch.setattr(algorithm, "readings_of_each_vehicle", broken)
     with pytest.raises(KeyError):
         run(*SHORT)
     written = json.loads((tmp_path / "metrics.json").read_text())

@@ -37,8 +37,8 @@ NAMED = ["estimator", "basis", "safety", "guidance", "solver", "planner", "exper
 # What a choice asks for besides.
 TARGETS = {
     "basis": ["basis.target=uwirl.motion.features.LinkFrameBasis", "+basis.settings.length_scales_m=[2]"],
-    "estimator": ["estimator.target=uwirl.snr.estimators.oracle"],
-    "planner": ["planner.target=uwirl.motion.planner.LearningPlanner"],
+    "estimator": ["estimator.target=uwirl.snr.estimators.disk"],
+    "planner": ["planner.target=uwirl.motion.irl_planner.IrlPlanner"],
 }
 NEEDS = {
     ("basis", "geodesic"): ["experience=parallel"],

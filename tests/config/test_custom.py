@@ -18,7 +18,7 @@ from uwirl.study.run_folder import config_hash
 
 MODULE = """
 from uwirl.motion.planner import Planner
-from uwirl.world.acoustics import Channel
+from uwirl.world.acoustics import Channel, LinkBudget
 from uwirl.world.vehicle import Vehicle
 
 class Whole:
@@ -35,13 +35,19 @@ class Ours(Vehicle):
     def __init__(self, dead_zone=0.0, **parameters):
         super().__init__(**parameters)
 
-class Modem(Channel): ...
+class Modem(LinkBudget): ...
+
+class Water(Channel): ...
 
 class Stub(Planner): ...
 
 class Needy(Whole):
     def __init__(self, gain):
         super().__init__(gain)
+
+class Steady(Whole):
+    def __init__(self, guard, cost):
+        super().__init__()
 
 class Nothing: ...
 
@@ -52,14 +58,14 @@ class Short:
     def fit(self, env): ...
 
 class Callable:
-    def __call__(self, readings, known): ...
+    def __call__(self, readings, budget): ...
 
 class Half:
     def tau_max(self): ...
     def saturate(self, tau): ...
     def step(self, state, tau, dt): ...
 
-def function(readings, known, n=2.0): ...
+def function(readings, budget, n=2.0): ...
 def reader(readings): ...
 
 number = 3
@@ -92,11 +98,11 @@ REFUSED = [
     ("baseline.target=mine.Whole", "baseline.target", "only with planner@baseline=custom"),
     ("solver.target=mine.Whole", "solver.target", "is a class of yours, which stands in channel, vehicle, estimator,"),
     ("planner@baseline=own baseline.target=mine.Short", "baseline.target", "cannot be called so"),
-    (f"{ESTIMATOR}Nothing", "estimator.target", "it has no __call__(readings, known)"),
+    (f"{ESTIMATOR}Nothing", "estimator.target", "it has no __call__(readings, budget)"),
     (f"{ESTIMATOR}number", "estimator.target", "is no class and no function"),
     (f"{ESTIMATOR}reader", "estimator.settings", "too many positional arguments"),
     (f"{ESTIMATOR}function +estimator.settings.m=2", "estimator.settings.m", "mine.function takes n"),
-    (f"{ESTIMATOR}function +estimator.settings.known=2", "estimator.settings.known", "mine.function takes n"),
+    (f"{ESTIMATOR}function +estimator.settings.budget=2", "estimator.settings.budget", "mine.function takes n"),
     ("basis=own basis.target=mine.Nothing", "basis.target", "is no uwirl.motion.features.MotionBasis: it has no "),
     ("vehicle.target=mine.Half", "vehicle.target", "step(state, tau, dt, current, out) cannot be called so"),
     ("vehicle.target=mine.Nothing", "vehicle.target", "is no uwirl.world.vehicle.Dynamics: it has no saturate(tau)"),
@@ -108,7 +114,7 @@ REFUSED = [
     ),
     ("estimator=own estimator.target=builtins.iter", "estimator.target", "builtins.iter does not tell what it takes"),
     ("planner=own planner.target=leaving.X", "planner.target", "leaving cannot be imported: SystemExit: 0"),
-    ("channel.target=mine.Nothing", "channel.target", "is no uwirl.world.acoustics.Channel: it must be a subclass"),
+    ("channel.target=mine.Nothing", "channel.target", "is no uwirl.world.acoustics.LinkBudget: it must be a subclass"),
     (
         "vehicle.target=mine.Ours +vehicle.settings.mass_kg=2",
         "vehicle.settings.mass_kg",
@@ -137,6 +143,8 @@ ACCEPTED = [
     "vehicle.target=mine.Ours +vehicle.settings.dead_zone=2",
     "channel.target=uwirl.world.acoustics.Channel",
     "channel.target=mine.Modem",
+    "channel.target=mine.Water",
+    f"{PLANNER}Steady",
     "vehicle.target=null",
     "planner=own planner.target=mine.Whole",
 ]
@@ -184,15 +192,15 @@ def test_what_fits_is_accepted(overrides):
 @pytest.mark.parametrize(
     ("key", "path"),
     [
-        ("channel", "uwirl.world.acoustics.Channel"),
+        ("channel", "uwirl.world.acoustics.LinkBudget"),
         ("vehicle", "uwirl.world.vehicle.Vehicle"),
         ("basis", "uwirl.motion.features.ErrorBasis"),
         ("basis", "uwirl.motion.features.LinkFrameBasis"),
         ("basis", "uwirl.motion.geodesic_basis.GeodesicBasis"),
-        ("planner", "uwirl.motion.planner.IrlPlanner"),
-        ("planner", "uwirl.motion.baselines.pd.PdPlanner"),
-        ("planner", "uwirl.motion.baselines.potential_field.PotentialField"),
-        ("planner", "uwirl.motion.baselines.trajectory_optimization.TrajectoryOptimization"),
+        ("planner", "uwirl.motion.irl_planner.IrlPlanner"),
+        ("planner", "uwirl.baselines.pd.PdPlanner"),
+        ("planner", "uwirl.baselines.potential_field.PotentialField"),
+        ("planner", "uwirl.baselines.trajectory_optimization.TrajectoryOptimization"),
     ],
 )
 def test_what_is_ours_is_one_of_its_family(key, path):

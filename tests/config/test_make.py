@@ -17,7 +17,7 @@ from uwirl.config.make import make
 from uwirl.config.motion_schema import PdConfig, PlannerConfig
 from uwirl.config.schema import BasisConfig, Config, EstimatorConfig, VehicleConfig
 from uwirl.world.absorption import Water
-from uwirl.world.acoustics import Channel
+from uwirl.world.acoustics import LinkBudget
 
 MODULE = """
 class Gains(list):
@@ -29,8 +29,8 @@ class Rude(Gains):
     def __init__(self):
         raise TypeError("not today")
 
-def function(readings, known, n=2.0):
-    return readings, known, n
+def function(readings, budget, n=2.0):
+    return readings, budget, n
 """
 
 
@@ -47,9 +47,9 @@ def test_an_object_of_ours_is_made_from_its_section(make_config):
     config = make_config("channel=acoustic_24khz").channel
     water = Water(temperature_C=4.0)
     made = make(config, water=water)
-    assert type(made) is Channel
+    assert type(made) is LinkBudget
     assert made.water is water
-    assert (made.K_dB, made.absorption) == (config.K_dB, "thorp")
+    assert (made.N0_dB, made.absorption) == (config.N0_dB, "thorp")
 
 
 def test_keys_settings_and_what_is_given_arrive_as_they_are():
@@ -72,7 +72,7 @@ def test_keys_settings_and_what_is_given_arrive_as_they_are():
 
 def test_a_function_with_its_settings_is_one_already():
     made = make(EstimatorConfig(name="mine", target="gains.function", settings={"n": 5}))
-    assert made("readings", known="known") == ("readings", "known", 5)
+    assert made("readings", budget="budget") == ("readings", "budget", 5)
 
 
 def test_null_stands_for_uwirls_own(make_config):

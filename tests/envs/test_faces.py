@@ -15,7 +15,7 @@ from uwirl import build
 from uwirl.config.checks import ConfigError
 from uwirl.envs import RelayEnv, RelayParallelEnv, make_task
 from uwirl.envs.starts import random_starts
-from uwirl.motion.safety import EnergyGuard, unguarded
+from uwirl.motion.safety import EnergyGuard, Unguarded
 from uwirl.world.layouts import SEPARATION_M, START_CLEARANCE_M
 from uwirl.world.random import RandomStreams
 
@@ -101,7 +101,7 @@ def test_the_guard_is_none_an_option_or_ones_own():
     def own(tau: torch.Tensor, observation: object) -> torch.Tensor:
         return 0.0 * tau
 
-    assert make_task(PAIR).evaluator.guard is unguarded
+    assert make_task(PAIR).evaluator.guard == Unguarded()
     assert isinstance(make_task([*PAIR, "safety.margin_m=0.4"], guard="energy").evaluator.guard, EnergyGuard)
     assert make_task(PAIR, guard=own).evaluator.guard is own
     # Nothing but buoyancy moves a vehicle whose guard stops all thrusters.

@@ -8,7 +8,7 @@ import torch
 
 from uwirl import build
 from uwirl.motion.route import MapSettings, Router
-from uwirl.snr.estimators import Oracle
+from uwirl.snr.estimators import oracle
 from uwirl.world.readings import take_readings
 from uwirl.world.truth import truth_of
 
@@ -35,7 +35,7 @@ def fly(make_config, make_relay):
     def go(*overrides: str):
         overrides = ("planner=pd", *overrides)
         config, env = make_config(*overrides), make_relay(*overrides)
-        truth = Oracle(truth_of(env).channel)(take_readings(env), env.budget)
+        truth = oracle(take_readings(env), env.budget, truth_of(env).channel)
         agent = build.make_planner(config, config.planner, env).fit(env, truth)
         return build.make_evaluator(config, env).fly(agent)
 

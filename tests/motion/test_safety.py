@@ -6,7 +6,6 @@ from dataclasses import replace
 import pytest
 import torch
 from scipy import optimize
-from uwirl.config.own_schema import values
 
 from uwirl import build
 from uwirl.irl.networks import LinearActor
@@ -53,7 +52,7 @@ def cluttered(env: Relay, worlds: int, velocity: float = 0.0, seed: int = 0) -> 
 
 def scaled(env: Relay, mass: float, make_config) -> Relay:
     """The same environment with a vehicle of so many times the mass and added mass."""
-    settings = values(make_config().vehicle)
+    settings = make_config().vehicle.values()
     settings |= {
         "mass_kg": mass * settings["mass_kg"],
         "added_mass": [mass * a for a in settings["added_mass"][:3]] + [0.12],

@@ -16,7 +16,7 @@ from uwirl.snr.estimators import (
     ESTIMATORS,
     disk,
     estimate_each_vehicle,
-    generalized_least_squares_once,
+    generalized_least_squares,
     least_squares,
     maximum_likelihood,
     oracle,
@@ -31,7 +31,7 @@ from uwirl.world.readings import Readings, take_readings
 # All that estimate path loss and fading.
 FITTING = {
     "least_squares": least_squares,
-    "generalized_least_squares": generalized_least_squares_once,
+    "generalized_least_squares": generalized_least_squares,
     "separate": separate,
     "maximum_likelihood": maximum_likelihood,
 }
@@ -110,7 +110,7 @@ def test_least_squares_is_numpys(channel: Channel, messages: int):
 def test_one_step_of_generalized_least_squares_is_numpys(channel: Channel, messages: int):
     """With the moments that ordinary least squares gave."""
     readings = simulate(channel, 12, messages, sets=5)
-    first, second = least_squares(readings, channel.budget), generalized_least_squares_once(readings, channel.budget)
+    first, second = least_squares(readings, channel.budget), generalized_least_squares(readings, channel.budget)
     assert torch.equal(first.value[:, 2:], second.value[:, 2:])
     for row in range(5):
         theta, covariance = Dense.of(readings, channel, row).theta(*first.value[row, 2:].tolist())

@@ -8,7 +8,7 @@ import torch
 from scipy import stats
 
 from uwirl import build
-from uwirl.config import world_rules
+from uwirl.config.world_schema import LayoutKind
 from uwirl.runs.missions import campaign
 from uwirl.snr.estimators import oracle
 from uwirl.study.campaign import Outcomes, fly, upper_bound
@@ -40,7 +40,7 @@ def test_upper_bound_at_the_ends():
 
 
 def test_configuration_knows_the_kinds_of_layouts():
-    assert world_rules.LAYOUT_KINDS == KINDS
+    assert tuple(LayoutKind) == KINDS
 
 
 @pytest.fixture(scope="module")

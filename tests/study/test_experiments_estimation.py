@@ -14,7 +14,7 @@ from scipy import stats
 
 from uwirl import build
 from uwirl.snr.estimate import NAMES, ChannelEstimate
-from uwirl.snr.estimators import Oracle
+from uwirl.snr.estimators import oracle
 from uwirl.study import figures
 from uwirl.world.acoustics import Channel
 from uwirl.world.truth import truth_of
@@ -90,7 +90,7 @@ def test_judged_by_hand(estimators, scenario, channel: Channel):
     for row, share in ((0, 0.999), (1, 1.001)):
         value[row, :2] += share * width[:2]
         value[row, 2:] *= np.exp(-share * width[2:])
-    estimate = Oracle(channel)(readings, channel.budget)
+    estimate = oracle(readings, channel.budget, channel)
     told = torch.ones(3, 5, dtype=torch.bool)
     told[1, 3] = False
     covariance = torch.from_numpy(np.diag(std**2)).expand(3, 5, 5)

@@ -27,22 +27,28 @@ class Family:
         protocol: dotted path of the Protocol, or of the class that it must extend.
         given: what it is made from besides the section, by position.
         named: what besides, by name.
+        offered: what it is made from if it takes something by that name.
         calls: what a function gets that is one of the family by itself; empty where only objects are.
+        instead: a class that it may extend instead.
     """
 
     protocol: str
     given: tuple[str, ...] = ()
     named: tuple[str, ...] = ()
+    offered: tuple[str, ...] = ()
     calls: tuple[str, ...] = ()
+    instead: str | None = None
 
 
+# Of stage 2: a planner gets those that it takes by name.
+PARTS = ("cost", "guard", "guidance", "basis", "solver", "experience")
 # By the schemas whose sections may be of any class; all others have settings of uwirl's own.
 FAMILIES: dict[type[MadeConfig], Family] = {
-    ChannelConfig: Family("uwirl.world.acoustics.LinkBudget"),
+    ChannelConfig: Family("uwirl.world.acoustics.LinkBudget", instead="uwirl.world.acoustics.Channel"),
     VehicleConfig: Family("uwirl.world.vehicle.Dynamics", named=("dtype", "device")),
     EstimatorConfig: Family("uwirl.snr.estimators.Estimator", calls=("readings", "budget")),
     BasisConfig: Family("uwirl.motion.features.MotionBasis", given=("cost",)),
-    PlannerConfig: Family("uwirl.motion.planner.Planner"),
+    PlannerConfig: Family("uwirl.motion.planner.Planner", offered=PARTS),
 }
 
 
@@ -78,13 +84,16 @@ def _check(section: MadeConfig, path: str, key: str, family: Family) -> None:
     target, given = found(path, f"{key}.target"), family.given
     if isinstance(target, type):
         problem = misfit(target, pkgutil.resolve_name(family.protocol))
+        if family.instead and issubclass(target, pkgutil.resolve_name(family.instead)):
+            given, problem = ("budget",), None
         if problem:
             raise ConfigError(f"{key}.target", f"{path} is no {family.protocol}: {problem}")
     elif family.calls and callable(target):
         given = family.calls
     else:
         raise ConfigError(f"{key}.target", f"{path} is no class{' and no function' if family.calls else ''}")
-    _check_settings(target, section, key, given, (*section.values(), *family.named))
+    offered = [name for name in family.offered if name in taken(target)[0] and name not in section.settings]
+    _check_settings(target, section, key, given, (*section.values(), *family.named), offered)
 
 
 def found(path: str, key: str) -> Any:
@@ -152,14 +161,19 @@ def _is_protocol(protocol: type) -> bool:
 
 
 def _check_settings(
-    target: Callable[..., Any], section: MadeConfig, key: str, given: Sequence[str], named: Sequence[str]
+    target: Callable[..., Any],
+    section: MadeConfig,
+    key: str,
+    given: Sequence[str],
+    named: Sequence[str],
+    offered: Sequence[str],
 ) -> None:
     try:
         signature = inspect.signature(target)
     except ValueError:
         raise ConfigError(f"{key}.target", f"{section.target} does not tell what it takes") from None
     names, anything = taken(target)
-    own = [name for name in names[len(given) :] if name not in named]
+    own = [name for name in names[len(given) :] if name not in (*named, *offered)]
     for name in section.settings:
         setting = f"{key}.settings.{name}"
         if name in named:
@@ -168,7 +182,9 @@ def _check_settings(
             near = did_you_mean([f"{key}.settings.{other}" for other in similar(name, own)])
             raise ConfigError(setting, f"{section.target} takes {listed(own) or 'no settings'}{near}")
     try:
-        signature.bind(*given, **dict.fromkeys(named), **section.settings)
+        # As `make` does: what a class does not take is not for it.
+        keys = [name for name in (*named, *offered) if anything or name in names]
+        signature.bind(*given, **dict.fromkeys(keys), **section.settings)
     except TypeError as error:
         problem = f"{section.target} cannot be made of {section.settings}: {error}"
         raise ConfigError(f"{key}.settings", problem) from None

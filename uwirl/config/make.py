@@ -25,7 +25,10 @@ def make(section: MadeConfig, *given: Any, **offered: Any) -> Any:
         ConfigError: there is no such class, or its objects lack what their family must have.
     """
     key, path = f"{section.family}.target", section.target or type(section).target
-    if path is None:
+    if path is not None:
+        # As Hydra would have filled it in.
+        path = path.replace("${.name}", getattr(section, "name", ""))
+    else:
         raise ConfigError(key, "names no class; give package.module.Class")
     target = found(path, key)
     names, anything = taken(target)
