@@ -15,7 +15,7 @@ from uwirl import build
 from uwirl.config.checks import ConfigError
 from uwirl.envs import RelayEnv, RelayParallelEnv, make_task
 from uwirl.envs.starts import random_starts
-from uwirl.motion.safety import EnergyGuard, Unguarded
+from uwirl.motion.safety import EnergyGuard
 from uwirl.world.layouts import SEPARATION_M, START_CLEARANCE_M
 from uwirl.world.random import RandomStreams
 
@@ -101,15 +101,18 @@ def test_the_guard_is_none_an_option_or_ones_own():
     def own(tau: torch.Tensor, observation: object) -> torch.Tensor:
         return 0.0 * tau
 
-    assert make_task(PAIR).evaluator.guard == Unguarded()
+    env = RelayEnv(overrides=PAIR)
+    tau = torch.full((1, 2, 4), 1e6)
+    observation = env.task.evaluator.env.reset()[1]
+    assert env.task.evaluator.guard(tau, observation) is tau
     assert isinstance(make_task([*PAIR, "safety.margin_m=0.4"], guard="energy").evaluator.guard, EnergyGuard)
     assert make_task(PAIR, guard=own).evaluator.guard is own
     # Nothing but buoyancy moves a vehicle whose guard stops all thrusters.
-    env = RelayEnv(overrides=PAIR, guard=own)
-    env.reset(seed=0)
-    moved, stopped = env.step(np.ones(8, dtype=np.float32))[0], RelayEnv(overrides=PAIR)
-    stopped.reset(seed=0)
-    np.testing.assert_array_equal(moved, stopped.step(np.zeros(8, dtype=np.float32))[0])
+    stopped = RelayEnv(overrides=PAIR, guard=own)
+    for each in (env, stopped):
+        each.reset(seed=0)
+    idle, _ = env.step(np.zeros(8, dtype=np.float32))[:2]
+    np.testing.assert_array_equal(stopped.step(np.ones(8, dtype=np.float32))[0], idle)
     with pytest.raises(ConfigError, match="safety"):
         make_task(PAIR, guard="energetic")
 

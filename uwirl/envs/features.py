@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -49,7 +50,7 @@ class Features:
         neighbours = (f"{side}_{name}" for side in sides for name in NEIGHBOUR)
         return (*POSE, *listed, *LINKS, *neighbours)
 
-    @property
+    @cached_property
     def half_span(self) -> float:
         """Half the distance between source and destination, m."""
         return 0.5 * float(torch.linalg.vector_norm(self.scenario.destination - self.scenario.source))
@@ -68,7 +69,11 @@ class Features:
         return torch.stack([row.float() for row in rows]).clamp_(-LIMIT, LIMIT).movedim(0, -1).contiguous()
 
     def _pose(self, observation: Observation) -> list[Tensor]:
-        along, across, up, yaw, u, v, w, r = self.frame.relative(observation).unbind(-1)
+        # `frame.relative`, coordinate by coordinate for the same reason.
+        (x, y, z, psi), (u, v, w, r) = observation.eta.unbind(-1), observation.nu.unbind(-1)
+        target, bearing = self.frame
+        along, across = to_body(x - target[:, 0], y - target[:, 1], bearing)
+        up, yaw = z - target[:, 2], psi - bearing
         place = [along / self.half_span, across / self.half_span, up / (0.5 * self.scenario.depth)]
         speed = [u / SPEED_MPS, v / SPEED_MPS, w / SPEED_MPS, r / YAW_RATE_RAD_S]
         return [*place, torch.sin(yaw), torch.cos(yaw), *speed]
