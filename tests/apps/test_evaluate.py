@@ -154,7 +154,7 @@ def test_a_run_starts_from_anothers_estimate_and_weights(source, tmp_path):
     metrics = learn(tmp_path, f"init_from={source}", "channel.zeta_dB=1", "seed=5")
     before = checkpoint.load(source / "checkpoints" / "last.pt")
     after = checkpoint.load(tmp_path / "checkpoints" / "last.pt")
-    assert torch.equal(after["learner"]["start_weights"], before["actor"])
+    assert torch.equal(after["learner"]["start"], before["actor"])
     assert torch.equal(after["estimate"]["value"], before["estimate"]["value"])
     assert metrics["cost_total_start_policy"] < json.loads((source / "metrics.json").read_text())["cost_total"] * 1.05
 
@@ -171,7 +171,7 @@ def test_one_part_serves_two_vehicles(source, tmp_path, part, others):
         assert metrics["estimate_K_dB"] == [float(before["estimate"]["value"][0, 0])] * 2
     else:
         assert metrics["estimate_K_dB"][0] != metrics["estimate_K_dB"][1]
-        start = checkpoint.load(tmp_path / "checkpoints" / "last.pt")["learner"]["start_weights"]
+        start = checkpoint.load(tmp_path / "checkpoints" / "last.pt")["learner"]["start"]
         assert torch.equal(start, before["actor"].expand(2, -1))
 
 

@@ -135,10 +135,10 @@ def test_sigterm_finishes_the_leg_and_says_how_to_go_on(tmp_path, whole):
     """Sent by the run to itself while it flies its fifth leg, so that the moment is always the same."""
     program = (
         "import os, signal; from uwirl.apps.run import main; from uwirl.motion import experience\n"
-        "fly = experience._fly_leg\n"
-        "def leg(env, flight, *rest):\n"
+        "fly = experience.Exploration.flown\n"
+        "def leg(self, env, flight, *rest):\n"
         "    if flight.leg == 4: os.kill(os.getpid(), signal.SIGTERM)\n"
-        "    return fly(env, flight, *rest)\n"
+        "    return fly(self, env, flight, *rest)\n"
         "experience.Exploration.flown = leg; main()"
     )
     folder = tmp_path / "run"

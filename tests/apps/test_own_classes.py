@@ -49,11 +49,12 @@ def test_planner(fly):
 def test_a_new_planner_is_a_module_and_a_file(fly, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(
+        "from uwirl import Feedback\n"
         "class Hover:\n"
         "    def __init__(self, share):\n"
         "        self.share = share\n"
         "    def fit(self, env, estimate):\n"
-        "        return lambda state, step: self.share * env.vehicle.trim.expand(*state.eta.shape)\n"
+        "        return Feedback(lambda seen: self.share * env.vehicle.trim.expand(*seen.eta.shape))\n"
     )
     (tmp_path / "conf" / "planner").mkdir(parents=True)
     option = "name: mine\ntarget: mine.Hover\nsettings: {share: 1.0}\n"
@@ -94,7 +95,7 @@ def test_a_gap_shifts_the_snr(make_config):
     plain = build.make_channel(make_config().channel)
     snr = torch.linspace(-10.0, 30.0, 5, dtype=torch.float64)
     torch.testing.assert_close(channel.capacity_kbps(snr + 3.0), plain.capacity_kbps(snr))
-    assert channel.snr_for_dB(20.0) == pytest.approx(plain.snr_for_dB(20.0) + 3.0)
+    assert channel.budget.snr_for_dB(20.0) == pytest.approx(plain.budget.snr_for_dB(20.0) + 3.0)
 
 
 def test_basis_learns_and_is_evaluated(fly, call, tmp_path):

@@ -23,7 +23,7 @@ from uwirl.study.checkpoint import CheckpointError
 
 def test_every_tells_how_often_it_is_saved(tmp_path, monkeypatch):
     saved = []
-    monkeypatch.setattr(saving.Checkpoints, "last", lambda self, planner, *_: saved.append(planner.state.flight.leg))
+    monkeypatch.setattr(saving.Checkpoints, "last", lambda self, learning, state, *_: saved.append(state.flight.leg))
     go(tmp_path, *SHORT, "checkpoint.every=4")
     # In flight, at the end of learning, and with the metrics.
     assert saved == [4, 6, 6]
@@ -163,9 +163,9 @@ def test_tensorboard_tells_every_iteration_once(whole, tmp_path):
     on = (*SHORT, "logging.tensorboard=true", "checkpoint.every=1")
     saved = []
 
-    def stop(self, planner, *rest):
-        last(self, planner, *rest)
-        saved.append(planner.state.flight.leg)
+    def stop(self, learning, state, *rest):
+        last(self, learning, state, *rest)
+        saved.append(state.flight.leg)
         if len(saved) == 3:
             raise KeyboardInterrupt
 

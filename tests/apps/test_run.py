@@ -177,8 +177,8 @@ def test_not_a_number_fails_with_step_and_quantity(run, monkeypatch):
     rk4 = Vehicle.rk4
     calls = iter(range(10_000))
 
-    def poisoned(self, x, tau, dt):
-        return rk4(self, x, tau, dt) * (torch.nan if next(calls) == 7 else 1.0)
+    def poisoned(self, x, tau, dt, out):
+        return rk4(self, x, tau, dt, out).mul_(torch.nan if next(calls) == 7 else 1.0)
 
     monkeypatch.setattr(Vehicle, "rk4", poisoned)
     _, metrics, _ = run(*SHORT)
@@ -235,7 +235,12 @@ def test_installed_wheel_runs_from_another_folder(tmp_path):
     install = [sys.executable, "-m", "pip", "install", "--no-deps", "--no-index", "--target", str(site), str(wheel)]
     subprocess.run(install, check=True, capture_output=True)
     result = subprocess.run(
-        [sys.executable, "-c", "import sys, uwirl.apps.run as r; print(r.compose.folder()); r.main()", "planner=pd"],
+        [
+            sys.executable,
+            "-c",
+            "from uwirl.apps.run import main; from uwirl.config import compose; print(compose.folder()); main()",
+            "planner=pd",
+        ],
         cwd=cwd,
         env={"PYTHONPATH": str(site), "PATH": "/usr/bin:/bin"},
         capture_output=True,

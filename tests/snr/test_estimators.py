@@ -10,7 +10,7 @@ import pytest
 import torch
 from dense import Dense, geometry_of, places, simulate
 
-from uwirl.config import validate
+from uwirl.config import schema
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.snr.estimators import (
     ESTIMATORS,
@@ -56,7 +56,7 @@ def with_gaps(readings: Readings, share: float, seed: int = 0) -> Readings:
 
 
 def test_configuration_knows_the_estimators():
-    assert validate.ESTIMATORS == (*ESTIMATORS, "oracle")
+    assert schema.ESTIMATORS == (*ESTIMATORS, "oracle")
 
 
 @pytest.mark.parametrize("name", sorted(ESTIMATORS))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
+import threading
 from collections.abc import Callable
 
 from tqdm import tqdm
@@ -31,6 +32,8 @@ class Narrator:
     def __init__(self, total_s: float, bar: bool):
         # Without any stderr Python has None.
         shown = bar and sys.stderr is not None and sys.stderr.isatty()
+        # tqdm's own lock is a semaphore of the system, which a killed run would leave behind.
+        tqdm.set_lock(threading.RLock())
         form = "  learning {percentage:3.0f}%|{bar:30}| {postfix}, {remaining} left"
         self.bar = tqdm(total=total_s, disable=not shown, leave=False, bar_format=form)
         self.next_line_s = 60.0
@@ -89,9 +92,6 @@ class Board:
 
 class Saver:
     """Keeps the records, and saves every few legs, at the end, and where a signal ends the run.
-
-    A leg that is cut short teaches nothing, and would not be flown again the same from where it was cut: signals wait
-    for its end.
 
     Args:
         checkpoints: where to.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from uwirl import build
-from uwirl.algorithm import Estimated, Planned, algorithm_1
+from uwirl.algorithm import Estimated, Event, Planned, algorithm_1
 from uwirl.config.overrides import effective
 from uwirl.config.schema import Config
 from uwirl.motion.learning import LearningState
@@ -72,16 +72,8 @@ def _work(
     saver = Saver(checkpoints, interruption, board, records)
     narrator = Narrator(getattr(config.planner, "max_time_s", 0.0), config.logging.progress)
     listeners: list[Listener] = [narrator, Board(board, records), saver]
-    with interruption.postponed():
-        for event in algorithm_1(env, estimator, planner, origin.start(env)):
-            for listen in listeners:
-                listen(event)
-            match event:
-                case Estimated():
-                    estimated = event
-                case Planned():
-                    planned = event
-
+    events = algorithm_1(env, estimator, planner, origin.start(env))
+    estimated, planned = _heard(events, listeners, interruption)
     metrics = run_folder.estimate_metrics(estimated.estimate)
     if planned.learned is not None:
         metrics |= learning_metrics(config, planned.learned[1])
@@ -102,6 +94,25 @@ def _work(
     checkpoints.last(learning, state, estimated.estimate, records, metrics)
     board.cost_per_iteration(costs)
     return metrics
+
+
+def _heard(
+    events: Iterator[Event], listeners: Sequence[Listener], interruption: Interruption
+) -> tuple[Estimated, Planned]:
+    """Let listeners hear all events; returns how both stages ended."""
+    ends: dict[type, Any] = {}
+
+    def hear(event: Event) -> None:
+        ends[type(event)] = event
+        for listen in listeners:
+            listen(event)
+
+    hear(next(events))
+    # A leg that is cut short teaches nothing, and would not be flown again the same from where it was cut.
+    with interruption.postponed():
+        for event in events:
+            hear(event)
+    return ends[Estimated], ends[Planned]
 
 
 def learning_metrics(config: Config, state: LearningState) -> dict[str, Any]:
