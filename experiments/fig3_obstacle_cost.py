@@ -30,7 +30,7 @@ from uwirl.config.compose import compose
 from uwirl.config.schema import PrintedCostConfig
 from uwirl.config.validate import validate
 from uwirl.motion.avoidance import Avoidance, Printed, remark_2, smooth
-from uwirl.motion.cost import RelayCost
+from uwirl.motion.cost import CostWeights, RelayCost
 from uwirl.motion.link_frame import LinkFrame
 from uwirl.motion.mission import Mission
 from uwirl.world.scenario import Scenario
@@ -156,7 +156,9 @@ def study(settings: DictConfig) -> tuple[dict[str, float | int | None], Figure]:
     draw_curves(cut, term, forms, config.cost, radii)
     for name, form in forms.items():
         height, crest = ring(form, radii[1:])
-        other = replace(mission, weights=replace(mission.weights, avoidance=form))
+        given = mission.weights
+        weights = CostWeights(given.beta_1, given.beta_2, given.yaw_weight, given.R, form)
+        other = replace(mission, weights=weights)
         q = state_cost(other.cost, frame, scenario, x)
         metrics |= {
             f"ring_height_{name}": height,

@@ -67,7 +67,7 @@ def test_z_rls_equals_batch_least_squares_in_flight(make_config, make_relay):
     state = learning.init()
     recursive = learning.iteration.solver
     assert isinstance(recursive, ZRecursiveLeastSquares)
-    batch = BatchLeastSquares(recursive.operator, recursive.regularisation, recursive.bounds)
+    batch = BatchLeastSquares(recursive.operator, recursive.bounds, recursive.ridge, recursive.prior)
     rows = batch.init(state.start)
     while not learning.is_over(state):
         leg, state = learning.fly(state)
