@@ -39,11 +39,11 @@ def by_agents(config: Any, env: Any, tau: Tensor, steps: int) -> dict[str, Calla
     """Of this version."""
     from uwirl.world.agent import Feedback, Guarded
 
-    agent, guard, (_, observation) = Feedback(lambda observation: tau), build.make_guard(config, env), env.reset()
+    agent, guard, (state, observation) = Feedback(lambda observation: tau), build.make_guard(config, env), env.reset()
     return {
-        "rollout": lambda: env.rollout(agent, steps=steps),
+        "rollout": lambda: env.rollout(agent, state, steps),
         "guard": lambda: [guard(tau, observation) for _ in range(steps)],
-        "guarded rollout": lambda: env.rollout(Guarded(agent, guard), steps=steps),
+        "guarded rollout": lambda: env.rollout(Guarded(agent, guard), state, steps),
     }
 
 

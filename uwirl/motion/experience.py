@@ -162,7 +162,7 @@ class VirtualLinks(Exploration):
 
     def begin(self, hover: Trajectory) -> FlightState:
         """The flight goes on where the hover ends."""
-        return FlightState(hover.end, 0)
+        return FlightState(hover.end.detached(), 0)
 
     def fly(self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard) -> Leg:
         """The next leg of all vehicles."""
@@ -178,7 +178,7 @@ class VirtualLinks(Exploration):
             segments = [recorder.segment(relabel(x, pose), flown, dt) for pose in frames]
             relabelled = Segment(*(torch.cat(parts) for parts in zip(*segments, strict=True)))
         batch = Batch((recorder.segment(x, flown, dt), relabelled), (1.0, weight))
-        return Leg(batch, FlightState(flown.end, leg + 1), self.leg_s, contacts_while(env, flown))
+        return Leg(batch, FlightState(flown.end.detached(), leg + 1), self.leg_s, contacts_while(env, flown))
 
 
 @dataclass(frozen=True)
@@ -210,5 +210,5 @@ class Parallel(Exploration):
         flown, x = self.flown(env, flight, flight.leg, actor, recorder, guard)
         windows = recorder.segment(x, flown, env.scenario.dt)
         pooled = Segment(*(part.flatten(0, 1).unsqueeze(1) for part in windows))
-        after, seconds = FlightState(flown.end, flight.leg + 1), self.worlds * self.leg_s
+        after, seconds = FlightState(flown.end.detached(), flight.leg + 1), self.worlds * self.leg_s
         return Leg(Batch((pooled,), (1.0,)), after, seconds, contacts_while(env, flown))

@@ -98,7 +98,7 @@ class Relay:
         eta, nu = x[:4].movedim(0, -1), x[4:].movedim(0, -1)
         # 1 and -1 at the ends alone: a vehicle's depth is confined to them.
         middle = 0.5 * scenario.depth
-        contact = x[2].add(middle).div_(middle).trunc_().to(torch.int8)
+        contact = x[2].add(middle).div_(middle).to(torch.int8)
         if not scenario.navigation.is_exact:
             error = scenario.navigation.error(self.streams, step, time, x.shape[2]).to(x.dtype)
             eta, nu = eta + error[..., :4], nu + error[..., 4:]
@@ -143,9 +143,7 @@ class Relay:
             tau[k] = command.movedim(-1, 0)
             if k + 1 < steps:
                 observation = self.observe(state)
-        # A copy, which does not hold the whole flight in memory.
-        end = state._replace(components=components[-1].clone())
-        trajectory = Trajectory(components, tau.movedim(1, -1), self.scenario.dt, first_step, end, carry)
+        trajectory = Trajectory(components, tau.movedim(1, -1), self.scenario.dt, first_step, state, carry)
         trajectory.check_finite()
         return trajectory
 

@@ -40,6 +40,10 @@ class WorldState(NamedTuple):
         """[B, M]."""
         return VehicleState(self.components)
 
+    def detached(self) -> WorldState:
+        """A copy that shares no memory with the flight that it ended."""
+        return self._replace(components=self.components.clone())
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -50,7 +54,7 @@ class Trajectory:
         tau: control held over each step, [n, B, M, 4].
         dt: s.
         first_step: step index, from the beginning of the flight, of the first state.
-        end: where the worlds stand then.
+        end: where the worlds stand then, a view; `end.detached()` does not hold the whole flight in memory.
         carry: what the agent remembers then; with `end` it goes on as if never stopped.
     """
 

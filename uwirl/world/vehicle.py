@@ -138,12 +138,14 @@ class Vehicle(nn.Module):
         self.quadratic_damping: Tensor
         self.restoring: Tensor
         self.tau_max: Tensor
+        self.tau_min: Tensor
         self.register_buffer("inertia", constant([r + a for r, a in zip(rigid, added_mass, strict=True)]))
         self.register_buffer("linear_damping", constant(linear_damping))
         self.register_buffer("quadratic_damping", constant(quadratic_damping))
         # z points up, so g_w = W - B acts on heave: a buoyant vehicle is pushed towards +z.
         self.register_buffer("restoring", constant([0.0, 0.0, weight_N - buoyancy_N, 0.0]))
         self.register_buffer("tau_max", constant(tau_max))
+        self.register_buffer("tau_min", -self.tau_max)
 
     @classmethod
     def bluerov2(cls, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> Vehicle:
@@ -169,7 +171,7 @@ class Vehicle(nn.Module):
 
     def saturate(self, tau: Tensor) -> Tensor:
         """tau [..., 4] within the thruster limits."""
-        return torch.clamp(tau, -self.tau_max, self.tau_max)
+        return torch.clamp(tau, self.tau_min, self.tau_max)
 
     def inertia_matrix(self) -> Tensor:
         """M, [4, 4]."""
