@@ -51,15 +51,15 @@ class PoseDraw:
     """Distribution of the pose that a leg starts with, relative to its virtual link.
 
     Attributes:
-        along_m, across_m, up_m: half widths of e_par, e_perp and e_z.
+        along_m, across_m, up_m: half widths of e_par, e_perp and e_z, numbers or [B] where worlds differ.
         yaw_rad: half width of psi~.
         near_share: share of legs drawn close to the target instead.
         near_scale: by which their widths along and across shrink (that of e_z by its double).
     """
 
-    along_m: float
-    across_m: float
-    up_m: float
+    along_m: float | Tensor
+    across_m: float | Tensor
+    up_m: float | Tensor
     yaw_rad: float
     near_share: float
     near_scale: float
@@ -71,7 +71,11 @@ class PoseDraw:
         plane = torch.where(near, self.near_scale, 1.0)
         up = torch.where(near, 2.0 * self.near_scale, 1.0)
         shrink = torch.cat([plane, plane, up, torch.ones_like(up)], -1)
-        half = torch.tensor([self.along_m, self.across_m, self.up_m, self.yaw_rad], dtype=u.dtype, device=u.device)
+        widths = self.along_m, self.across_m, self.up_m, self.yaw_rad
+        half = torch.stack(
+            torch.broadcast_tensors(*(torch.as_tensor(x, dtype=u.dtype, device=u.device) for x in widths)), -1
+        )
+        half = half.repeat_interleave(vehicles, 0) if half.ndim == 2 else half
         return (2.0 * u[:, :4] - 1.0) * half * shrink
 
     def frame(self, env: Relay, eta: Tensor, step: int) -> LinkFrame:

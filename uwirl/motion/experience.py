@@ -117,16 +117,20 @@ class Exploration:
         half = [(b - a) / 2.0 for a, b in zip(source, destination, strict=True)]
         bearing = math.atan2(half[1], half[0])
         c, s = math.cos(bearing), math.sin(bearing)
-        starts = scenario.start.flatten(0, -2)[:, :3].tolist()
-        errors = [[p - a - h for p, a, h in zip(start, source, half, strict=True)] for start in starts]
-        along = BEYOND * max(math.hypot(*half), *(abs(c * x + s * y) for x, y, _ in errors))
+
+        def widths(starts: list[list[float]]) -> tuple[float, float, float]:
+            errors = [[p - a - h for p, a, h in zip(start, source, half, strict=True)] for start in starts]
+            along = BEYOND * max(math.hypot(*half), *(abs(c * x + s * y) for x, y, _ in errors))
+            across = max(self.across_share * along, *(BEYOND * abs(c * y - s * x) for x, y, _ in errors))
+            return along, across, max(self.up_m, *(BEYOND * abs(z) for _, _, z in errors))
+
+        # Each world by its own starts, so that it draws the same whatever others there are.
+        starts = scenario.start[..., :3]
+        each = [widths(world) for world in starts.reshape(-1, *starts.shape[-2:]).tolist()]
+        reach = torch.tensor(each, dtype=torch.float64).T if starts.ndim == 3 else each[0]
+        along, across, up = reach
         return (ArenaDraw if among_obstacles else PoseDraw)(
-            along_m=along,
-            across_m=max(self.across_share * along, *(BEYOND * abs(c * y - s * x) for x, y, _ in errors)),
-            up_m=max(self.up_m, *(BEYOND * abs(z) for _, _, z in errors)),
-            yaw_rad=self.yaw_rad,
-            near_share=self.near_share,
-            near_scale=self.near_scale,
+            along, across, up, self.yaw_rad, self.near_share, self.near_scale
         )
 
     def flown(
