@@ -233,8 +233,9 @@ def test_installed_wheel_runs_from_another_folder(tmp_path):
     cwd.mkdir()
     install = [sys.executable, "-m", "pip", "install", "--no-deps", "--no-index", "--target", str(site), str(wheel)]
     subprocess.run(install, check=True, capture_output=True)
+    program = "from uwirl.config.compose import folder; from uwirl.apps.run import main; print(folder()); main()"
     result = subprocess.run(
-        [sys.executable, "-c", "import sys, uwirl.apps.run as r; print(r.compose.folder()); r.main()", "planner=pd"],
+        [sys.executable, "-c", program, "planner=pd"],
         cwd=cwd,
         env={"PYTHONPATH": str(site), "PATH": "/usr/bin:/bin"},
         capture_output=True,

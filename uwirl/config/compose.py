@@ -29,6 +29,7 @@ from uwirl.config.ablations import check_ablation
 from uwirl.config.checks import ConfigError
 from uwirl.config.groups import Groups, is_schema
 from uwirl.config.keys import Keys, field_types
+from uwirl.config.overrides import section_of
 from uwirl.config.schema import Config, register
 from uwirl.config.suggestions import did_you_mean, listed, similar
 
@@ -123,22 +124,29 @@ def composed(
         groups = _shipped_groups(name) if shipped else Groups(loader, name)
         chosen, values = groups.split(words)
         try:
-            config = deepcopy(_shipped_files(name, tuple(chosen))) if shipped else _files(name, chosen)
+            files, hydras = _shipped_files(name, tuple(chosen)) if shipped else _files(name, chosen)
         except REFUSALS as error:
             raise _refusal(error, groups, chosen) from None
+        config = deepcopy(files)
+        with open_dict(config):
+            # It is as large again, and seldom of interest.
+            if whole or any(section_of(override.key_or_group) == "hydra" for override in values):
+                config["hydra"] = hydras
         keys = Keys.of(config, list(groups.defaults), groups.holders)
         for override in values:
             _set(config, override, keys)
-        choices = dict(config.hydra.runtime.choices)
         if not whole:
             with open_dict(config):
-                del config["hydra"]
-            check_composed(config, choices, groups if ablation else None)
+                config.pop("hydra", None)
+            check_composed(config, hydras.runtime.choices, groups if ablation else None)
         return config
 
 
-def _files(name: str, chosen: Sequence[str]) -> DictConfig:
-    return hydra.compose(name, list(chosen), return_hydra_config=True)
+def _files(name: str, chosen: Sequence[str]) -> tuple[DictConfig, DictConfig]:
+    """What files give, and Hydra's own settings."""
+    config = hydra.compose(name, list(chosen), return_hydra_config=True)
+    with open_dict(config):
+        return config, config.pop("hydra")
 
 
 # The program's own files nobody edits meanwhile.
