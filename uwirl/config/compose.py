@@ -99,7 +99,9 @@ def compose(overrides: Sequence[str] = (), config_dir: str | None = None) -> Con
         ConfigError: unknown keys, groups, options or types, or an ablation that is undone.
     """
     register()
-    return to_config(composed("config", overrides, config_dir))
+    config = to_object(composed("config", overrides, config_dir))
+    assert isinstance(config, Config)
+    return config
 
 
 def composed(
@@ -196,19 +198,12 @@ def check_composed(config: DictConfig, choices: Mapping[str, Any], groups: Group
         check_ablation(config, choices, groups)
 
 
-def to_config(composed: DictConfig) -> Config:
+def to_object(composed: DictConfig) -> Any:
     """Typed objects of a composed configuration, every interpolation resolved.
 
     Raises:
         ConfigError: a mandatory value is missing, or an interpolation leads nowhere.
     """
-    config = to_object(composed)
-    assert isinstance(config, Config)
-    return config
-
-
-def to_object(composed: DictConfig) -> Any:
-    """As `to_config`, of any schema."""
     try:
         return _plain(OmegaConf.to_object(composed))
     except MissingMandatoryValue as error:
