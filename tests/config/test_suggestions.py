@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from uwirl.config.checks import ConfigError
-from uwirl.config.compose import composed, to_config, to_object
+from uwirl.config.compose import composed, to_object
 from uwirl.config.estimate_schema import register
 from uwirl.config.suggestions import similar
 from uwirl.config.validate import validate
@@ -213,7 +213,7 @@ def test_files_of_the_user(tmp_path, name: str, content: str, override: str, key
     path.parent.mkdir()
     path.write_text(content + "\n")
     with pytest.raises(ConfigError) as caught:
-        to_config(composed("config", override.split(), str(tmp_path)))
+        to_object(composed("config", override.split(), str(tmp_path)))
     assert caught.value.key == key
     assert fragment in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from uwirl.apps.program import Program
 from uwirl.config.estimate_schema import EstimateConfig
-from uwirl.config.validate import validate_estimate
 
 if TYPE_CHECKING:
     from uwirl.runs.survey import Survey
@@ -22,8 +21,10 @@ class Estimate(Program):
 
     def prepare(self, config: EstimateConfig, sweep: bool) -> Survey:
         """All that can be wrong with settings and log, found before a run folder is made."""
+        # Imported here so that a typo is answered sooner, and a bad configuration before torch is loaded.
+        from uwirl.config.validate import validate_estimate
+
         validate_estimate(config)
-        # Imported here so that a bad configuration is answered before torch is loaded.
         from uwirl.runs.survey import Survey
 
         if self.read is None or self.read.config != config:

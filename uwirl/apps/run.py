@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from uwirl.apps.program import Program
+from uwirl.config.checks import ConfigError
 from uwirl.config.schema import Config
-from uwirl.config.validate import ConfigError, validate
 
 log = logging.getLogger("uwirl")
 
@@ -22,6 +22,9 @@ class Run(Program):
 
     def prepare(self, config: Config, sweep: bool) -> tuple[Config, str]:
         """The settings, and the hash of a run with them."""
+        # Imported here, and the like elsewhere, so that a typo is answered sooner.
+        from uwirl.config.validate import validate
+
         validate(config)
         if config.resume is not None and sweep:
             raise ConfigError("resume", "continues one run at a time, as in `uwirl resume=PATH`")

@@ -71,44 +71,29 @@ class MadeConfig(Section):
 
     Attributes:
         family: what is made, which is also the group of its options.
+        names: those of uwirl's options with these settings; none where any name, or no name, will do.
     """
 
     target: str | None = None  # package.module.Class of uwirl, or of your own: docs/extending.md
     settings: dict[str, Any] = field(default_factory=dict)  # what a class of your own takes, by name
 
     family: ClassVar[str] = ""
+    names: ClassVar[tuple[StrEnum, ...]] = ()
 
-    def __init_subclass__(cls, family: str = "", **rest: Any) -> None:
-        super().__init_subclass__(**rest)
-        cls.family = family or cls.family
+    def __init_subclass__(cls, family: str = "", names: tuple[StrEnum, ...] = ()) -> None:
+        cls.family, cls.names = family or cls.family, names
 
     def values(self) -> dict[str, Any]:
         """What the object is made from besides `settings`, by name."""
         return {name: value for name, value in dataclasses.asdict(self).items() if name not in APART}
 
-
-@dataclass
-class OptionConfig(MadeConfig):
-    """An option with a name.
-
-    Attributes:
-        names: those of uwirl's options with these settings; none where any name will do.
-    """
-
-    name: str = MISSING  # of the option
-
-    names: ClassVar[tuple[StrEnum, ...]] = ()
-
-    def __init_subclass__(cls, names: tuple[StrEnum, ...] = (), **rest: Any) -> None:
-        super().__init_subclass__(**rest)
-        cls.names = names
-
     def check(self, key: str) -> None:
         """As every section; a name must be that of an option with these settings."""
-        if self.names and self.name not in self.names:
+        name = getattr(self, "name", None)
+        if self.names and name not in self.names:
             group = self.family if key == self.family else f"{self.family}@{key}"
-            other = f"{self.name!r} needs other settings than these; choose it with {group}={self.name}"
-            raise ConfigError(f"{key}.name", unlike(self.name, type(self.names[0])) or other)
+            other = f"{name!r} needs other settings than these; choose it with {group}={name}"
+            raise ConfigError(f"{key}.name", unlike(str(name), type(self.names[0])) or other)
         super().check(key)
 
 

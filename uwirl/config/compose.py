@@ -29,6 +29,7 @@ from uwirl.config.ablations import check_ablation
 from uwirl.config.checks import ConfigError
 from uwirl.config.groups import Groups, is_schema
 from uwirl.config.keys import Keys, field_types
+from uwirl.config.overrides import section_of
 from uwirl.config.schema import Config, register
 from uwirl.config.suggestions import did_you_mean, listed, similar
 
@@ -98,7 +99,9 @@ def compose(overrides: Sequence[str] = (), config_dir: str | None = None) -> Con
         ConfigError: unknown keys, groups, options or types, or an ablation that is undone.
     """
     register()
-    return to_config(composed("config", overrides, config_dir))
+    config = to_object(composed("config", overrides, config_dir))
+    assert isinstance(config, Config)
+    return config
 
 
 def composed(
@@ -123,22 +126,29 @@ def composed(
         groups = _shipped_groups(name) if shipped else Groups(loader, name)
         chosen, values = groups.split(words)
         try:
-            config = deepcopy(_shipped_files(name, tuple(chosen))) if shipped else _files(name, chosen)
+            files, hydras = _shipped_files(name, tuple(chosen)) if shipped else _files(name, chosen)
         except REFUSALS as error:
             raise _refusal(error, groups, chosen) from None
+        config = deepcopy(files)
+        with open_dict(config):
+            # It is as large again, and seldom of interest.
+            if whole or any(section_of(override.key_or_group) == "hydra" for override in values):
+                config["hydra"] = hydras
         keys = Keys.of(config, list(groups.defaults), groups.holders)
         for override in values:
             _set(config, override, keys)
-        choices = dict(config.hydra.runtime.choices)
         if not whole:
             with open_dict(config):
-                del config["hydra"]
-            check_composed(config, choices, groups if ablation else None)
+                config.pop("hydra", None)
+            check_composed(config, hydras.runtime.choices, groups if ablation else None)
         return config
 
 
-def _files(name: str, chosen: Sequence[str]) -> DictConfig:
-    return hydra.compose(name, list(chosen), return_hydra_config=True)
+def _files(name: str, chosen: Sequence[str]) -> tuple[DictConfig, DictConfig]:
+    """What files give, and Hydra's own settings."""
+    config = hydra.compose(name, list(chosen), return_hydra_config=True)
+    with open_dict(config):
+        return config, config.pop("hydra")
 
 
 # The program's own files nobody edits meanwhile.
@@ -188,19 +198,12 @@ def check_composed(config: DictConfig, choices: Mapping[str, Any], groups: Group
         check_ablation(config, choices, groups)
 
 
-def to_config(composed: DictConfig) -> Config:
+def to_object(composed: DictConfig) -> Any:
     """Typed objects of a composed configuration, every interpolation resolved.
 
     Raises:
         ConfigError: a mandatory value is missing, or an interpolation leads nowhere.
     """
-    config = to_object(composed)
-    assert isinstance(config, Config)
-    return config
-
-
-def to_object(composed: DictConfig) -> Any:
-    """As `to_config`, of any schema."""
     try:
         return _plain(OmegaConf.to_object(composed))
     except MissingMandatoryValue as error:

@@ -10,7 +10,6 @@ from omegaconf import MISSING
 
 from uwirl.config.checks import (
     MadeConfig,
-    OptionConfig,
     at_least,
     finite,
     low_high,
@@ -35,7 +34,7 @@ RlsForm = StrEnum("RlsForm", ["paper", "exponential"])
 
 
 @dataclass
-class BasisConfig(OptionConfig, family="basis"):
+class BasisConfig(MadeConfig, family="basis"):
     name: str = MISSING  # link_frame | geodesic | error_quadratic | error_velocity; any with a class of your own
 
 
@@ -94,7 +93,7 @@ class PrintedCostConfig(CostConfig):
 
 
 @dataclass
-class SafetyConfig(OptionConfig, family="safety", names=(SafetyName.none,)):
+class SafetyConfig(MadeConfig, family="safety", names=(SafetyName.none,)):
     name: str = MISSING  # energy | barrier | none
 
 
@@ -124,7 +123,7 @@ class EnergyGuardConfig(GuardConfig, names=(SafetyName.energy,)):
 
 
 @dataclass
-class GuidanceConfig(OptionConfig, family="guidance", names=(GuidanceName.straight,)):
+class GuidanceConfig(MadeConfig, family="guidance", names=(GuidanceName.straight,)):
     name: str = MISSING  # straight | geodesic | unit_cost
 
 
@@ -140,7 +139,7 @@ class GeodesicConfig(GuidanceConfig, names=(GuidanceName.geodesic, GuidanceName.
 
 
 @dataclass
-class SolverConfig(OptionConfig, family="solver"):
+class SolverConfig(MadeConfig, family="solver"):
     name: str = MISSING  # z_rls | batch | bounded_batch | rls_paper | rls_forgetting
 
 
@@ -172,7 +171,7 @@ class RlsSolverConfig(SolverConfig, names=(SolverName.rls_paper, SolverName.rls_
 
 
 @dataclass
-class ExperienceConfig(OptionConfig, family="experience"):
+class ExperienceConfig(MadeConfig, family="experience"):
     name: str = MISSING  # virtual_links | parallel
     leg_s: float = MISSING  # s; flown towards one virtual link
     max_time_s: float = MISSING  # s; what planner.max_time_s is unless it is set
@@ -198,7 +197,7 @@ class ParallelConfig(ExperienceConfig, names=(ExperienceName.parallel,)):
 
 
 @dataclass
-class PlannerConfig(OptionConfig, family="planner"):
+class PlannerConfig(MadeConfig, family="planner"):
     name: str = MISSING  # irl | pd | potential_field | trajectory_optimization; any with a class of your own
 
 

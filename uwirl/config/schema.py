@@ -14,7 +14,7 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
-from uwirl.config.checks import OptionConfig, Section, at_least, ruled, unlike, valid_seed
+from uwirl.config.checks import MadeConfig, Section, at_least, ruled, unlike, valid_seed
 from uwirl.config.motion_schema import (
     BarrierGuardConfig,
     BasisConfig,
@@ -51,7 +51,7 @@ Dtype = StrEnum("Dtype", ["float64", "float32"])
 
 
 @dataclass
-class EstimatorConfig(OptionConfig, family="estimator"):
+class EstimatorConfig(MadeConfig, family="estimator"):
     # least_squares | generalized_least_squares | separate | maximum_likelihood | disk | oracle; any with yours
     name: str = MISSING
     target: str | None = OURS + "${.name}"  # package.module.function, or a class: docs/extending.md
