@@ -141,7 +141,7 @@ class Evaluator:
         )
 
     def cost_of_weights(self, learning: Learning, weights: Tensor, trim: Tensor, starts: Tensor) -> Tensor:
-        """J of K iterates' actor weights from Q starts, all flown as one batch.
+        """J of K iterates' actor weights from Q starts, all flown as one batch in the first world.
 
         Args:
             learning: supplies the agent.
@@ -154,6 +154,7 @@ class Evaluator:
         """
         K, Q, M = weights.shape[0], *starts.shape[:2]
         rows = weights[:, None].expand(K, Q, M, -1).flatten(0, 2)
-        agent = learning.agent(rows, trim[:M].expand(M, 4).repeat(K * Q, 1), self.env)
+        first = self.env.select(torch.zeros(1, dtype=torch.long, device=rows.device))
+        agent = learning.agent(rows, trim[:M].expand(M, 4).repeat(K * Q, 1), first)
         start = WorldState.of(VehicleState.from_eta_nu(starts.repeat(K, 1, 1)))
-        return self.fly(agent, start).cost.view(K, Q)
+        return self.in_worlds(first).fly(agent, start).cost.view(K, Q)
