@@ -97,6 +97,7 @@ class BellmanOperator:
 
     @property
     def unknowns(self) -> int:
+        """n2 + n3, and one for an average cost that is not known."""
         return self.n2 + self.n3 + int(self.average_cost)
 
     def z(self, segment: Segment) -> Tensor:

@@ -45,16 +45,19 @@ class ClassicalRls:
     form: str = "paper"
 
     def init(self, weights: Tensor) -> ClassicalRlsState:
+        """P = p0 I, and the actor's weights [L, n3] as the first estimate."""
         weight, P = self._rls(weights).init()
         n2, n3 = self.operator.n2, self.operator.n3
         weight[:, n2 : n2 + n3] = weights
         return ClassicalRlsState(weight, P, ())
 
     def add(self, state: ClassicalRlsState, batch: Batch) -> ClassicalRlsState:
+        """With the first group's windows, which wait for the policy that their rows are built for."""
         first = batch.groups[0]
         return state if first is None else state._replace(pending=(*state.pending, tuple(first)))
 
     def solve(self, state: ClassicalRlsState, weights: Tensor) -> tuple[Solution, ClassicalRlsState]:
+        """Build the rows that wait for the policy of weights [L, n3], take them in one by one."""
         rls, known = self._rls(weights), RlsState(state.weight, state.P)
         for parts in state.pending:
             for theta, y in zip(*self.operator.rows(Segment(*parts), weights), strict=True):

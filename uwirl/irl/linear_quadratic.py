@@ -46,10 +46,12 @@ class LinearQuadratic:
 
     @property
     def basis(self) -> QuadraticBasis:
+        """In which value and optimal policy are exact."""
         return QuadraticBasis(*self.B.shape)
 
     @property
     def operator(self) -> BellmanOperator:
+        """Of that basis and R."""
         basis = self.basis
         return BellmanOperator(len(basis.critic_names), [len(names) for names in basis.actor_names], self.R)
 

@@ -161,9 +161,11 @@ class ZRecursiveLeastSquares(LeastSquaresPolicyEvaluation):
     """
 
     def init(self, weights: Tensor) -> ZState:
+        """Before any experience."""
         return ZState()
 
     def add(self, state: ZState, batch: Batch) -> ZState:
+        """With the windows of a batch; `state` stays as it is."""
         Z, rows = _known(state.Z, None, batch), _known(state.rows, 0, batch)
         return ZState(
             tuple(self._accumulate(*pair) for pair in zip(Z, batch.groups, strict=True)),
@@ -179,6 +181,7 @@ class ZRecursiveLeastSquares(LeastSquaresPolicyEvaluation):
         return products if Z is None else Z + products
 
     def solve(self, state: ZState, weights: Tensor) -> tuple[Solution, ZState]:
+        """Evaluate the policy of weights [L, n3] on all experience and improve it, by least squares."""
         Z, n = self._total(state)
         L, target = self.operator.lift(weights)
         LZ = L @ Z / n
@@ -216,9 +219,11 @@ class BatchLeastSquares(LeastSquaresPolicyEvaluation):
     """Keeps every segment, rebuilds all rows for each policy and factors them by QR (which also serves float32)."""
 
     def init(self, weights: Tensor) -> SegmentsState:
+        """Before any experience."""
         return SegmentsState()
 
     def add(self, state: SegmentsState, batch: Batch) -> SegmentsState:
+        """With the windows of a batch; `state` stays as it is."""
         stretches = _known(state.stretches, (), batch)
         return SegmentsState(
             tuple(
@@ -229,6 +234,7 @@ class BatchLeastSquares(LeastSquaresPolicyEvaluation):
         )
 
     def solve(self, state: SegmentsState, weights: Tensor) -> tuple[Solution, SegmentsState]:
+        """Evaluate the policy of weights [L, n3] on all experience and improve it, by least squares."""
         theta, y, total = self._weighted_rows(state, weights)
         rms = torch.sqrt((theta**2).sum(-2) / total) + 1e-12
         penalty, centre = self.penalty(weights)
