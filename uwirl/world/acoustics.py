@@ -1,7 +1,7 @@
 """The underwater acoustic channel: absorption, mean SNR and capacity (eqs 5-8).
 
-Two types separate what is known beforehand (`LinkBudget`) from the channel itself (`Channel`). Estimators and planners get
-the budget, and must estimate the channel from readings.
+Two types separate what is known beforehand (`LinkBudget`) from the channel itself (`Channel`). Estimators and planners
+get the budget, and must estimate the channel from readings.
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ class Layouts:
 
 
 def _acceptable(site: Site, targets: Tensor, obstacles: Obstacles, vehicle_radius: float, clearance_m: float) -> Tensor:
-    """Whether all vehicles have room at their starts and targets, and starts and targets are well separated, bool [n]."""
+    """Whether all vehicles have room at their starts and targets, and some distance to fly, bool [n]."""
     position = site.start[..., :3]
     way = torch.linalg.vector_norm(position[..., :2] - targets[:, :2], dim=-1)
     i, j = torch.triu_indices(len(targets), len(targets), 1, device=targets.device)

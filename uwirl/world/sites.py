@@ -63,7 +63,7 @@ class Site:
         return self.middle + self.draw(-self.half_width, self.half_width, count, 2)
 
     def near_way(self, low: float, high: float, aside_m: float, count: int) -> Tensor:
-        """Points between two fractions of the line, at most `across` to either side, [n, count, 2], m."""
+        """Points between two fractions of the line, at most `aside_m` to either side, [n, count, 2], m."""
         along = self.way / self.length
         left = torch.stack([-along[:, 1], along[:, 0]], -1)
         fraction, offset = self.draw(low, high, count, 1), self.draw(-aside_m, aside_m, count, 1)

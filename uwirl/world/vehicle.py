@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from uwirl.world.geometry import to_body
 
-# Vehicles integrated together in eager mode: large enough to hide the cost of a kernel call, small enough for the cache.
+# Vehicles integrated together in eager mode: enough to hide the cost of a kernel call, few enough for the cache.
 CHUNK = 32_768
 
 
@@ -243,7 +243,7 @@ class Vehicle(nn.Module):
         )
 
     def drift(self, x: Tensor, tau: Tensor, dt: float, current: Tensor) -> Tensor:
-        """One Runge-Kutta step in a current; nu is the velocity over ground, forces depend on the velocity through water.
+        """One Runge-Kutta step in a current; nu is the velocity over ground, drag depends on that through water.
 
         With a current that is irrotational and held over the step, (1) holds for the velocity relative to the water
         (Fossen, "Handbook of Marine Craft Hydrodynamics and Motion Control", 2nd ed., section 10.3).
