@@ -1,6 +1,6 @@
-"""Whether readings look as the model (9)-(13) says, judged by what each is off when the others predict it.
+"""Check of the model (9)-(13) by cross validation: each reading is predicted from all others.
 
-With P = Omega^-1 - Omega^-1 H (H' Omega^-1 H)^-1 H' Omega^-1 the readings of a set b are off all others' prediction by
+With P = Omega^-1 - Omega^-1 H (H' Omega^-1 H)^-1 H' Omega^-1, the prediction errors of the readings of a set b are
 
     r_b = (P_bb)^-1 [P (Y + epsilon)]_b,   cov r_b = (P_bb)^-1
 
@@ -22,9 +22,9 @@ from uwirl.world.geometry import distances
 from uwirl.world.readings import Readings
 
 BINS = 20
-# Pairs farther apart than this share of the longest distance are few and all alike.
+# Pairs farther apart than this fraction of the longest distance are few, and are not used.
 REACH = 0.5
-# Share of a reading's precision below which the others say nothing of it.
+# If P_bb is below this fraction of a reading's precision, the other readings do not predict it.
 NOTHING = 1e-9
 
 
@@ -35,7 +35,7 @@ class Semivariogram(NamedTuple):
         distance: mean of each bin, [k], m.
         empirical: [k], dB^2.
         fitted: rho^2 + zeta^2 (1 - exp(-distance / varphi)), [k], dB^2.
-        pairs: [k].
+        pairs: number of pairs, [k].
     """
 
     distance: Tensor
@@ -46,16 +46,16 @@ class Semivariogram(NamedTuple):
 
 @dataclass(frozen=True)
 class Diagnostics:
-    """Of m readings, in the order of messages, then of sensors; all in dB or without unit.
+    """Diagnostics of m readings, in the order of messages, then of sensors.
 
     Attributes:
-        residual: reading less what the others predict, [m], dB; nan where they predict nothing.
-        standardized: that over its standard deviation, [m].
+        residual: reading minus its prediction from the others, [m], dB; nan if they do not predict it.
+        standardized: residual divided by its standard deviation, [m].
         whitened: m - 2 independent standard normal numbers if the model holds.
-        path_loss: reading less the path loss that the others give by ordinary least squares, [m], dB.
-        sensor_mean: mean residual of each sensor when the other sensors predict it, [N], dB; nan where they do not.
-        sensor_standardized: that over its standard deviation, [N].
-        semivariogram: of what path loss leaves.
+        path_loss: reading minus the path loss fitted to the others by ordinary least squares, [m], dB.
+        sensor_mean: mean residual of each sensor, predicted from the other sensors, [N], dB; nan if not predicted.
+        sensor_standardized: sensor_mean divided by its standard deviation, [N].
+        semivariogram: semivariogram of the residuals of path loss.
     """
 
     residual: Tensor
@@ -83,34 +83,34 @@ class Diagnostics:
 
     @property
     def beyond_3(self) -> float:
-        """Share of readings more than 3 standard deviations off: 0.0027 of normal ones."""
+        """Fraction of readings more than 3 standard deviations off: 0.0027 for normal ones."""
         z = self.standardized[~self.standardized.isnan()]
         return float((z.abs() > 3.0).double().mean())
 
     @property
     def skewness(self) -> float:
-        """Of `whitened`: about 0, with standard deviation sqrt(6 / m)."""
+        """Skewness of `whitened`: about 0, with standard deviation sqrt(6 / m)."""
         return self._moment(3)
 
     @property
     def excess_kurtosis(self) -> float:
-        """Of `whitened`: about 0, with standard deviation sqrt(24 / m)."""
+        """Excess kurtosis of `whitened`: about 0, with standard deviation sqrt(24 / m)."""
         return self._moment(4) - 3.0
 
     @property
     def normality_p(self) -> float:
-        """Probability of moments so far from the normal ones (Jarque and Bera), for many readings."""
+        """p-value of the Jarque-Bera test for normality, valid for many readings."""
         square = self.skewness**2 + 0.25 * self.excess_kurtosis**2
         return math.exp(-len(self.whitened) / 12.0 * square) if math.isfinite(square) else math.nan
 
     @property
     def worst(self) -> int:
-        """Number of the reading that is farthest off."""
+        """Number of the reading with the largest standardized residual."""
         return int(self.standardized.abs().nan_to_num(0.0).argmax())
 
     @property
     def worst_sensor(self) -> int | None:
-        """Number of the sensor that is farthest off; None where no sensor can be predicted by others."""
+        """Number of the sensor with the largest standardized mean; None if no sensor can be predicted from others."""
         z = self.sensor_standardized.abs()
         return None if bool(z.isnan().all()) else int(z.nan_to_num(0.0).argmax())
 
@@ -120,14 +120,14 @@ class Diagnostics:
 
 
 def diagnose(readings: Readings, channel: Channel) -> Diagnostics:
-    """Judge one data set.
+    """Diagnostics of one data set.
 
     Args:
-        readings: some 3,000 at most, of which the covariance is inverted.
-        channel: an estimate's, whose fading counts.
+        readings: about 3,000 at most, because their covariance is inverted.
+        channel: estimated channel; only its fading is used.
 
     Raises:
-        torch.linalg.LinAlgError: readings of the same link without multipath.
+        torch.linalg.LinAlgError: repeated readings of a link, without multipath.
     """
     heard = ~readings.snr[0].isnan()
     transmitter, receiver = heard.nonzero().unbind(-1)
@@ -143,17 +143,17 @@ def diagnose(readings: Readings, channel: Channel) -> Diagnostics:
 
     white_H, white_y = (torch.linalg.solve_triangular(factor, x, upper=False) for x in (H, y[:, None]))
     half = torch.linalg.solve_triangular(factor, torch.eye(len(y)).to(y), upper=False)
-    # In the m - 2 directions that path loss leaves, the whitened readings are independent.
+    # In the m - 2 directions orthogonal to path loss, the whitened readings are independent.
     reflectors = torch.geqrf(white_H)
     left, whitened = (torch.ormqr(*reflectors, x, transpose=True)[2:] for x in (half, white_y))
     whitened = whitened[:, 0]
     P = left.mT @ left
     Py = left.mT @ whitened
     precision = P.diagonal()
-    # Of Omega^-1: what a reading would tell if path loss were known.
+    # Diagonal of Omega^-1: precision of the prediction of a reading if path loss were known.
     least = NOTHING * half.square().sum(0)
-    told = precision > least
-    residual = torch.where(told, Py / precision, torch.nan)
+    predicted = precision > least
+    residual = torch.where(predicted, Py / precision, torch.nan)
 
     sensors = [_block(P, Py, (receiver == k).nonzero()[:, 0], least) for k in range(len(readings.receivers))]
     mean, standardized = torch.tensor(sensors, dtype=y.dtype).unbind(-1)
@@ -176,12 +176,12 @@ def _fading(channel: Channel) -> tuple[float | Tensor, float | Tensor, float | T
 
 
 def _block(P: Tensor, Py: Tensor, rows: Tensor, least: Tensor) -> tuple[float, float]:
-    """Mean residual, dB, of readings that the others predict, and how many standard deviations that is."""
+    """Mean residual, dB, of readings predicted from all others, and the same in standard deviations."""
     if not len(rows):
         return math.nan, math.nan
     block = P[rows[:, None], rows]
     eigenvalues, vectors = torch.linalg.eigh(block)
-    # Without these readings path loss cannot be told, so that nothing predicts them.
+    # Without these readings path loss is not identifiable, so nothing predicts them.
     if float(eigenvalues[0]) < float(least[rows].min()):
         return math.nan, math.nan
     share = vectors.mT @ P.new_full((len(rows),), 1.0 / len(rows))

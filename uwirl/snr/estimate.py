@@ -1,4 +1,4 @@
-"""What stage 1 hands to everything else: the estimated channel and how far to trust it."""
+"""The result of stage 1: the estimated channel and its uncertainty."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Parameter(NamedTuple):
     Attributes:
         value: [B].
         std: standard error, [B].
-        identifiable: whether the readings tell it, bool [B]; where not, the other two mean nothing.
+        identifiable: whether the readings determine it, bool [B]; if not, value and std have no meaning.
     """
 
     value: Tensor
@@ -30,15 +30,15 @@ class Parameter(NamedTuple):
 
 @dataclass(frozen=True)
 class ChannelEstimate:
-    """Estimates of the channel from B data sets, of one vehicle each.
+    """Estimates of the channel from B data sets, one for each vehicle.
 
     Attributes:
         budget: what was known beforehand.
         value: K (dB), n, zeta^2 (dB^2), varphi (m), rho^2 (dB^2), [B, 5].
-        covariance: of K, n and the logarithms of the other three, [B, 5, 5].
-        identifiable: which of them the readings tell, bool [B, 5].
-        cost: negative log likelihood less m/2 ln(2 pi), [B].
-        evaluations: of the cost.
+        covariance: covariance of K, n and the logarithms of the other three, [B, 5, 5].
+        identifiable: which parameters the readings determine, bool [B, 5].
+        cost: negative log likelihood minus m/2 ln(2 pi), with m readings, [B].
+        evaluations: number of evaluations of the cost.
     """
 
     budget: LinkBudget
@@ -49,10 +49,10 @@ class ChannelEstimate:
     evaluations: int
 
     def parameter(self, name: str) -> Parameter:
-        """One of NAMES."""
+        """The parameter with this name, one of NAMES."""
         k = NAMES.index(name)
         std = self.covariance[:, k, k].sqrt()
-        # To first order a logarithm's standard error is a relative one.
+        # To first order, the standard error of a logarithm is the relative standard error of the parameter.
         return Parameter(self.value[:, k], std if k < 2 else self.value[:, k] * std, self.identifiable[:, k])
 
     @property
@@ -62,9 +62,9 @@ class ChannelEstimate:
 
     @property
     def channel(self) -> Channel:
-        """The channel with its estimated values in place, [B] each, which stage 2 plans on.
+        """The channel with the estimated values, [B] each, for planning in stage 2.
 
-        Shadowing that cannot be told from multipath counts as such.
+        Shadowing that cannot be distinguished from multipath is counted as multipath.
         """
         K, n, zeta2, varphi, rho2 = self.value.unbind(-1)
         separable = self.identifiable[:, 2] & self.identifiable[:, 3]
@@ -72,16 +72,16 @@ class ChannelEstimate:
         return Channel(self.budget, K_dB=K, n=n, zeta_dB=zeta, varphi_m=varphi, rho_dB=rho)
 
     def state_dict(self) -> dict[str, Any]:
-        """All but what was known before, as tensors and a number."""
+        """All attributes except the budget, as tensors and a number."""
         return {name: getattr(self, name) for name in _TENSORS} | {"evaluations": self.evaluations}
 
     @classmethod
     def from_state(cls, state: dict[str, Any], budget: LinkBudget) -> ChannelEstimate:
-        """What `state_dict` told, and what is known beforehand."""
+        """The estimate with this `state_dict` and this budget."""
         return cls(budget=budget, **state)
 
     def select(self, rows: Tensor) -> ChannelEstimate:
-        """Those of some data sets, by a mask or numbers."""
+        """The estimates from some data sets, by a mask or numbers."""
         tensors: dict[str, Any] = {name: getattr(self, name)[rows] for name in _TENSORS}
         return replace(self, **tensors)
 

@@ -1,6 +1,6 @@
 """Estimators of the channel from readings; one interface, `estimate(readings, budget) -> ChannelEstimate`.
 
-Each takes B data sets read at the same places, of which any readings may be missing.
+Each takes B data sets with the same positions of senders and receivers; any readings may be missing.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from uwirl.world.acoustics import Channel, LinkBudget
 from uwirl.world.readings import Readings, readings_of_each_vehicle
 from uwirl.world.relay import Relay
 
-# Of a logarithm over all fading that the readings allow: beyond a factor of two either way nothing is identifiable.
+# Largest standard deviation of the logarithm of an identifiable parameter: a factor of two in either direction.
 SEPARABLE = 0.75
-# `separate` stops when theta moves less than this many of its standard errors, or after so many rounds.
+# `separate` stops when theta changes by less than this fraction of its standard error, or after ROUNDS rounds.
 SETTLED, ROUNDS = 1e-3, 20
 
 
@@ -35,29 +35,29 @@ class Estimator(Protocol):
         budget: what a vehicle knows beforehand (N0, bandwidth, absorption).
 
     Raises:
-        UnidentifiableError: fewer than three readings, or all over one distance.
+        UnidentifiableError: fewer than three readings, or all over the same distance.
     """
 
     def __call__(self, readings: Readings, budget: LinkBudget) -> ChannelEstimate: ...
 
 
 def estimate_each_vehicle(env: Relay, estimator: Estimator) -> tuple[list[Readings], ChannelEstimate]:
-    """Stage 1 in the first world: each vehicle's readings, and what it estimates from them, [M] data sets."""
+    """Stage 1 in the first world: each vehicle's readings and its estimate from them, [M] data sets."""
     readings = readings_of_each_vehicle(env)
     return readings, ChannelEstimate.join([estimator(data, env.budget) for data in readings])
 
 
 class Solution(NamedTuple):
-    """What an estimator finds in b data sets of which the same readings are there.
+    """Result of an estimator for b data sets in which the same readings exist.
 
     Attributes:
         theta: [b, 2].
         theta_covariance: [b, 2, 2].
         fading: [b] each.
-        fading_covariance: of the logarithms, [b, 3, 3].
-        cost: negative log likelihood less m/2 ln(2 pi), [b].
+        fading_covariance: covariance of the logarithms, [b, 3, 3].
+        cost: negative log likelihood minus m/2 ln(2 pi), with m readings, [b].
         identifiable: which parameters of the fading the readings determine, bool [b, 3].
-        evaluations: of the cost.
+        evaluations: number of evaluations of the cost.
     """
 
     theta: Tensor
@@ -70,12 +70,12 @@ class Solution(NamedTuple):
 
 
 def _estimator(solve: Callable[[Tensor, Geometry], Solution]) -> Estimator:
-    """From a function of complete observations [b, S, N] and their geometry."""
+    """An estimator made from a function of complete observations [b, S, N] and their geometry."""
 
     def estimate(readings: Readings, budget: LinkBudget) -> ChannelEstimate:
         rows, parts = [], []
         for group, y, geometry in observations(readings, budget):
-            # Covariance matrices of all data sets of a chunk live at once.
+            # The covariance matrices of all data sets of a chunk are in memory at the same time.
             chunk = max(1, MAX_ENTRIES // (geometry.spacing.numel() + geometry.apart.numel() + geometry.readings))
             rows.append(group)
             parts += [_channel_estimate(solve(part, geometry), budget) for part in y.split(chunk)]
@@ -102,7 +102,7 @@ def _residual(y: Tensor, H: Tensor, theta: Tensor) -> Tensor:
 
 
 def _judged(y: Tensor, geometry: Geometry, theta: Tensor, covariance: Tensor, fading: Fading, rounds: int) -> Solution:
-    """A theta and the fading fitted to what it leaves, with the bound as its covariance."""
+    """A solution with this theta and the fading fitted to its residuals; the covariance is the Cramer-Rao bound."""
     residual = _residual(y, geometry.H, theta)
     spectrum = Spectrum.of(geometry, fading.varphi)
     derivatives = Derivatives.of(geometry, spectrum, fading)
@@ -117,7 +117,7 @@ def _judged(y: Tensor, geometry: Geometry, theta: Tensor, covariance: Tensor, fa
 def _least_squares(y: Tensor, geometry: Geometry) -> Solution:
     theta = ordinary(y, geometry.H)
     fading = moment_fit(_residual(y, geometry.H, theta), geometry)
-    # (H'H)^-1 H' Omega H (H'H)^-1: shadowing makes readings alike, so that they tell less than independent ones.
+    # (H'H)^-1 H' Omega H (H'H)^-1: shadowing correlates readings, which then contain less information.
     spectrum = Spectrum.of(geometry, fading.varphi)
     H = spectrum.rotate_design(geometry.H).flatten(-3, -2)
     omega = fading.zeta2[:, None] * spectrum.eigenvalues.flatten(-2) + fading.rho2[:, None]
@@ -127,7 +127,7 @@ def _least_squares(y: Tensor, geometry: Geometry) -> Solution:
 
 
 def _refined(y: Tensor, geometry: Geometry, fading: Fading) -> tuple[Tensor, Tensor]:
-    """theta [b, 2] by generalized least squares with this fading, and its covariance."""
+    """theta [b, 2] from generalized least squares with this fading, and its covariance."""
     spectrum = Spectrum.of(geometry, fading.varphi)
     W = 1.0 / (fading.zeta2[:, None, None] * spectrum.eigenvalues + fading.rho2[:, None, None])
     theta, information, _ = model.generalized_least_squares(spectrum.rotate(y), spectrum.rotate_design(geometry.H), W)
@@ -135,7 +135,7 @@ def _refined(y: Tensor, geometry: Geometry, fading: Fading) -> tuple[Tensor, Ten
 
 
 def _alternating(y: Tensor, geometry: Geometry, rounds: int) -> Solution:
-    """Moments of what theta leaves, then theta by generalized least squares with those, and so on."""
+    """Alternate: fading from the moments of the residuals, then theta by generalized least squares with it."""
     theta = ordinary(y, geometry.H)
     fading = moment_fit(_residual(y, geometry.H, theta), geometry)
     before, (theta, covariance) = theta, _refined(y, geometry, fading)
@@ -175,14 +175,14 @@ def _disk(y: Tensor, geometry: Geometry) -> Solution:
 
 
 def disk(readings: Readings, budget: LinkBudget) -> ChannelEstimate:
-    """One SNR wherever something is heard, whatever the distance: what the paper argues against."""
+    """The same SNR at every distance within hearing range: the disk model that the paper argues against."""
     estimate = _estimator(_disk)(readings, budget)
     estimate.identifiable[:, 1] = False
     return estimate
 
 
 def oracle(readings: Readings, budget: LinkBudget, channel: Channel) -> ChannelEstimate:
-    """The truth, for ablations: the only estimator that is told it, as `channel`."""
+    """The true channel, given as `channel`, for ablations; no other estimator has it."""
     truth = [channel.K_dB, channel.n, channel.zeta_dB**2, channel.varphi_m, channel.rho_dB**2]
     value = torch.tensor(truth, dtype=torch.float64, device=readings.snr.device).repeat(len(readings.snr), 1)
     nothing = torch.zeros_like(value[:, 0])
@@ -191,7 +191,7 @@ def oracle(readings: Readings, budget: LinkBudget, channel: Channel) -> ChannelE
 
 # Ordinary least squares, then moments: [29].
 least_squares = _estimator(_least_squares)
-# One more step: theta again, with the fading that the moments gave.
+# One more step: theta is estimated again, with the fading from the moments.
 generalized_least_squares = _estimator(lambda y, geometry: _alternating(y, geometry, 1))
 # The three phases of [42], which the paper improves on: path loss, then fading, and both in turn until they settle.
 separate = _estimator(lambda y, geometry: _alternating(y, geometry, ROUNDS))

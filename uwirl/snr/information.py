@@ -3,7 +3,7 @@
     I_theta = H' Omega^-1 H,   I_ab = tr(Omega^-1 Omega_a Omega^-1 Omega_b) / 2
 
 where Omega_a is the derivative of Omega with respect to a logarithm of the fading. (15), (16) of the paper have a
-matrix of rank one instead, with which the likelihood is unbounded.
+matrix of rank one instead, for which the likelihood is unbounded.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from uwirl.snr.model import Fading, Geometry, Spectrum
 
 
 class Derivatives(NamedTuple):
-    """Of Omega in its own axes, for [...] settings of the fading.
+    """Derivatives of Omega, in its eigenvectors, for [...] values of the fading.
 
     Attributes:
         W: Omega^-1, a diagonal, [..., S, N].
-        shadow: derivative by ln zeta^2, a diagonal, [..., S, N].
-        rho2: derivative by ln rho^2 is rho^2 I, [...].
-        A, E: with a, e and zeta^2 of the derivative by ln varphi, which is zeta^2 (A (x) diag e + diag a (x) E);
-            [..., S, S] and [..., N, N].
-        spectrum: as named.
-        zeta2: [...].
+        shadow: derivative with respect to ln zeta^2, a diagonal, [..., S, N].
+        rho2: the derivative with respect to ln rho^2 is rho^2 I, [...].
+        A, E: the derivative with respect to ln varphi is zeta^2 (A (x) diag e + diag a (x) E), with a and e from the
+            spectrum; [..., S, S] and [..., N, N].
+        spectrum: eigenvalues and eigenvectors.
+        zeta2: zeta^2, dB^2, [...].
     """
 
     W: Tensor
@@ -39,7 +39,7 @@ class Derivatives(NamedTuple):
 
     @classmethod
     def of(cls, geometry: Geometry, spectrum: Spectrum, fading: Fading) -> Derivatives:
-        """All of [...] settings, of which the spectrum belongs to varphi."""
+        """The derivatives for [...] values of the fading; the spectrum must belong to the same varphi."""
 
         def slope(D: Tensor, vectors: Tensor) -> Tensor:
             scaled = D / fading.varphi[..., None, None]
@@ -52,7 +52,7 @@ class Derivatives(NamedTuple):
 
     @property
     def spread(self) -> Tensor:
-        """Diagonal of the derivative by ln varphi, [..., S, N]."""
+        """Diagonal of the derivative with respect to ln varphi, [..., S, N]."""
         a, e = self.spectrum.a[..., :, None], self.spectrum.e[..., None, :]
         diagonal = (
             self.A.diagonal(dim1=-2, dim2=-1)[..., :, None] * e + a * self.E.diagonal(dim1=-2, dim2=-1)[..., None, :]
@@ -60,13 +60,13 @@ class Derivatives(NamedTuple):
         return self.zeta2[..., None, None] * diagonal
 
     def information(self) -> Tensor:
-        """I_ab, [..., 3, 3]."""
+        """Fisher information I_ab of the log fading, [..., 3, 3]."""
         W, a, e = self.W, self.spectrum.a, self.spectrum.e
         noise, spread = self.rho2[..., None, None].expand_as(W), self.spread
         diagonals = torch.stack([self.shadow, spread, noise], -3) * W[..., None, :, :]
         flat = diagonals.flatten(-2)
         information = 0.5 * flat @ flat.mT
-        # By ln varphi twice, the part off the diagonal counts too.
+        # For ln varphi twice, the off-diagonal part contributes too.
         We, Wa = W * e[..., None, :], W * a[..., :, None]
         A, E = (X.square() * (1.0 - torch.eye(X.shape[-1], dtype=X.dtype, device=X.device)) for X in (self.A, self.E))
         off = ((A @ We) * We).sum((-2, -1)) + ((Wa @ E) * Wa).sum((-2, -1))
@@ -90,8 +90,8 @@ def cramer_rao_bound(geometry: Geometry, fading: Fading) -> Tensor:
     """Least covariance of an unbiased estimate of (K, n, ln zeta^2, ln varphi, ln rho^2), [5, 5].
 
     Args:
-        geometry: where is read.
-        fading: the true statistics, numbers as tensors of no dimension; all must be greater than 0.
+        geometry: positions of the readings.
+        fading: the true statistics, tensors without dimensions; all must be greater than 0.
     """
     spectrum = Spectrum.of(geometry, fading.varphi)
     derivatives = Derivatives.of(geometry, spectrum, fading)

@@ -12,7 +12,7 @@ from uwirl.snr.estimate import ChannelEstimate
 
 
 def student_t(coverage: float, freedom: float) -> float:
-    """The t with P(|T| < t) = coverage.
+    """The quantile t of Student's distribution with P(|T| < t) = coverage.
 
     Args:
         coverage: between 0 and 1.
@@ -25,8 +25,8 @@ def intervals(estimate: ChannelEstimate, readings: int, coverage: float = 0.95) 
     """Lower and upper ends for each parameter of NAMES, [B, 5, 2].
 
     Args:
-        estimate: of B data sets.
-        readings: of which each was made, at least 3.
+        estimate: estimates from B data sets.
+        readings: number of readings in each data set, at least 3.
         coverage: between 0 and 1.
     """
     std = estimate.covariance.diagonal(dim1=-2, dim2=-1).sqrt()

@@ -1,10 +1,10 @@
-"""Kriging (32): SNR, its uncertainty and capacity of links that nobody has measured.
+"""Kriging (32): SNR, its uncertainty, and capacity of links that were not measured.
 
     mean = h' theta - epsilon + k' Omega^-1 (Y + epsilon - H theta)
     variance = zeta^2 - k' Omega^-1 k + d' (H' Omega^-1 H)^-1 d,   d = h - H' Omega^-1 k
 
 where k is the covariance (see `uwirl.world.fading`) of the link with each reading, over both ends. The last term is the
-uncertainty of theta itself (universal kriging); without it this is the Gaussian process of a known mean.
+uncertainty of theta (universal kriging); without it this is a Gaussian process with a known mean.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from uwirl.world.acoustics import Channel
 from uwirl.world.geometry import distances
 from uwirl.world.readings import Readings
 
-# Beyond, the covariance of the readings alone takes more than 0.8 GB, and its factor as much.
+# With more readings, their covariance takes more than 0.8 GB, and its factor the same.
 MAX_READINGS = 10_000
-# Entries of a chunk's covariance with the readings: 2 MB, which caches hold.
+# Entries of a chunk's covariance with the readings: 2 MB, which fits into caches.
 CHUNK_ENTRIES = 2**18
 
 
 class Kriging:
-    """The SNR that readings let expect of other links.
+    """Predicts the SNR of other links from readings.
 
     Args:
         readings: one data set.
-        channel: its parameters, numbers or of one element each: usually an estimate's.
-        trend: whether variances count the uncertainty of theta.
+        channel: channel parameters, numbers or tensors of one element; usually from an estimate.
+        trend: whether variances include the uncertainty of theta.
 
     Raises:
-        ValueError: more than one data set, or more readings than memory holds.
-        torch.linalg.LinAlgError: readings of the same link without multipath.
+        ValueError: more than one data set, or too many readings for the memory.
+        torch.linalg.LinAlgError: repeated readings of a link, without multipath.
     """
 
     def __init__(self, readings: Readings, channel: Channel, trend: bool = True):
@@ -58,15 +58,15 @@ class Kriging:
         self.factor = torch.linalg.cholesky(omega)
         H = _design(distance)
         y = readings.snr[0][heard] + channel.budget.known_loss_dB(distance)
-        # L^-1 of the residual and of H, [m, 3], with Omega = L L'.
+        # L^-1 times the residual and H, [m, 3], with Omega = L L'.
         residual = (y - H @ self.theta)[:, None]
         self.whitened = torch.linalg.solve_triangular(self.factor, torch.cat([residual, H], -1), upper=False)
         self.theta_covariance = torch.linalg.inv(self.whitened[:, 1:].mT @ self.whitened[:, 1:])
         self.alpha = torch.linalg.solve_triangular(self.factor.mT, self.whitened[:, :1], upper=True)[:, 0]
 
     def _covariance(self, first: Tensor, second: Tensor) -> Tensor:
-        """Of shadowing over links [Q] with that over the readings' links, [Q, m]."""
-        # Often all share an end: then one distance to each reading serves all.
+        """Covariance of the shadowing on Q links with that on the readings' links, [Q, m]."""
+        # Often all links share an end: then one distance to each reading is enough.
         apart = distances(first[:1] if bool((first == first[:1]).all()) else first, self.first)
         return distances(second, self.second).add_(apart).div_(-self.varphi).exp_().mul_(self.zeta2)
 
@@ -75,14 +75,14 @@ class Kriging:
 
         Args:
             first, second: ends of the links in the order of the field, [3] or [Q, 3], m.
-            multipath: whether of a reading, or of the link's shadowed SNR.
+            multipath: whether to predict a reading, with multipath, or the link's shadowed SNR.
         """
         parts = [self._predict(*ends) for ends in self._chunks(first, second)]
         mean, variance = (torch.cat(pieces) for pieces in zip(*parts, strict=True))
         return mean, (variance.clamp_min(0.0) + (self.rho2 if multipath else 0.0)).sqrt()
 
     def mean(self, first: Tensor, second: Tensor) -> Tensor:
-        """The mean alone, [Q], dB, at a small part of the cost: for searches."""
+        """The mean alone, [Q], dB, at a small part of the computing time: for searches."""
         return torch.cat(
             [self._trend(*ends)[0] + self._covariance(*ends) @ self.alpha for ends in self._chunks(first, second)]
         )
@@ -111,12 +111,12 @@ class Kriging:
         return mean, variance
 
     def outage(self, first: Tensor, second: Tensor, capacity_kbps: float) -> Tensor:
-        """Probability, [Q], that a link carries less than a capacity in kbit/s, multipath aside."""
+        """Probability, [Q], that the capacity of a link without multipath is below a value in kbit/s."""
         mean, std = self.predict(first, second)
         return torch.special.ndtr((self.channel.budget.snr_for_dB(capacity_kbps) - mean) / std)
 
     def relay(self, source: Tensor, destination: Tensor, position: Tensor) -> Tensor:
-        """Capacity of the worse link of a relay at [Q, 3] between two nodes [3], at the mean SNR, [Q], kbit/s."""
+        """Capacity of the worse link of a relay at [Q, 3] between two nodes [3], at the expected SNR, [Q], kbit/s."""
         links = [self.mean(node, position) for node in (source, destination)]
         return self.channel.capacity_kbps(torch.minimum(*links))
 

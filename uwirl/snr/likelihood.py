@@ -1,7 +1,7 @@
 """Maximum likelihood of the Gaussian model: a search over a grid, then Fisher scoring from its best minima.
 
 For each correlation distance one eigendecomposition makes Omega diagonal for all ratios zeta^2 / rho^2 at once; theta
-and the scale have closed forms there. A third of such profiles have more than one minimum, so that one start is not
+and the scale have closed forms there. A third of such profiles have several minima, so a single start value is not
 enough. All data sets share the decompositions.
 """
 
@@ -21,13 +21,13 @@ VARPHIS, RATIOS = 13, 37
 SHORTEST, LONGEST = 0.004, 1.0
 LOG_RATIO = 9.0
 STARTS = 3
-# Minima of the grid that are so much worse than the best cannot overtake it.
+# Minima of the grid that are worse than the best by more than this cannot become the best after refinement.
 HOPELESS = 3.0
 MAX_ITERATIONS = 40
 MAX_STEP = 1.5
-# Newton decrement, twice the likelihood still to be gained, at which scoring stops: 3 % of a standard error.
+# Scoring stops at this Newton decrement, twice the remaining gain in log likelihood: 3 % of a standard error.
 DECREMENT = 1e-3
-# Entries of a batch of data sets' profiles, or of their covariance matrices: some ten such tensors live at once.
+# Entries of the profiles or covariance matrices of a batch of data sets; about ten such tensors exist at once.
 MAX_ENTRIES = 2**24
 
 
@@ -36,12 +36,12 @@ class LikelihoodFit(NamedTuple):
 
     Attributes:
         theta: K and n, [B, 2].
-        theta_covariance: averaged over the fading that the readings allow, [B, 2, 2].
+        theta_covariance: averaged over all fading consistent with the readings, [B, 2, 2].
         log_fading: ln zeta^2, ln varphi, ln rho^2, [B, 3].
-        information: of these, [B, 3, 3].
-        spread: their standard deviations over the grid, weighted by the restricted likelihood, [B, 3].
-        cost: negative log likelihood less m/2 ln(2 pi), [B].
-        evaluations: of the likelihood, for each data set.
+        information: Fisher information of log_fading, [B, 3, 3].
+        spread: standard deviations of log_fading on the grid, weighted by the restricted likelihood, [B, 3].
+        cost: negative log likelihood minus m/2 ln(2 pi), with m readings, [B].
+        evaluations: number of evaluations of the likelihood for each data set.
     """
 
     theta: Tensor
@@ -60,9 +60,9 @@ class Profile(NamedTuple):
         log_varphi: [P].
         log_ratio: ln(zeta^2 / rho^2), [G].
         cost: negative log likelihood, [B, P, G].
-        restricted: the same of the restricted likelihood, which is of what theta leaves, [B, P, G].
+        restricted: negative log of the restricted likelihood, that of the residuals without theta, [B, P, G].
         theta: [B, P, G, 2].
-        rho2: the best for `cost`, [B, P, G].
+        rho2: best rho^2 for `cost`, [B, P, G].
         inverse: rho^2 times the inverse of theta's information, [P, G, 2, 2].
     """
 
@@ -77,7 +77,7 @@ class Profile(NamedTuple):
 
 def ordinary(y: Tensor, H: Tensor) -> Tensor:
     """theta [B, 2] by ordinary least squares of observations [B, S, N]."""
-    # gels, because the last bits of the default driver depend on where in memory the data lie.
+    # gels, because the last bits of the default driver's result depend on memory addresses.
     return torch.linalg.lstsq(H.flatten(0, 1), y.flatten(1).mT, driver="gels").solution.mT
 
 
@@ -89,10 +89,10 @@ def grid(geometry: Geometry) -> tuple[Tensor, Tensor]:
 
 
 def profile(y: Tensor, geometry: Geometry) -> Profile:
-    """Of observations Y + epsilon, less any H theta, [B, S, N]."""
+    """The profile of observations Y + epsilon, [B, S, N]; H theta may have been subtracted, for any theta."""
     log_varphi, log_ratio = grid(geometry)
     m = geometry.readings
-    # Starts and weights come of it, for which single precision does, in half the time.
+    # Only start values and weights are taken from it: single precision is enough, in half the time.
     single = Spectrum.of(Geometry(*(part.float() for part in geometry)), log_varphi.float().exp())
     spectrum = Spectrum(*(part.to(y.dtype) for part in single))
     rotated = spectrum.rotate(y[:, None]).flatten(2).transpose(0, 1)
@@ -119,7 +119,7 @@ def profile(y: Tensor, geometry: Geometry) -> Profile:
 
 
 def starts(profile: Profile) -> tuple[Tensor, Tensor]:
-    """The best local minima of the cost: data set [K] and log fading [K, 3] of each."""
+    """The best local minima of the cost: numbers of their data sets [K] and log fading [K, 3]."""
     cost, ratios = profile.cost, len(profile.log_ratio)
     lowest = -torch.nn.functional.max_pool2d(-cost, 3, stride=1, padding=1)
     minima = torch.where(cost == lowest, cost, torch.inf).flatten(1)
@@ -132,15 +132,15 @@ def starts(profile: Profile) -> tuple[Tensor, Tensor]:
 
 
 def averaged(profile: Profile, theta: Tensor, readings: int) -> tuple[Tensor, Tensor]:
-    """Uncertainty when all fading of the grid counts, by its restricted likelihood.
+    """Uncertainty averaged over all fading of the grid, weighted by the restricted likelihood.
 
-    At the optimum alone the covariance of theta takes the fading for known, and for smaller than it is: of correlated
-    shadowing its 95 % intervals covered 87 to 90 %.
+    The covariance of theta at the optimum alone treats the fading as known, and the estimated fading is too small: with
+    correlated shadowing, its 95 % intervals had a coverage of 87 to 90 %.
 
     Args:
-        profile: as named.
-        theta: about which the covariance is taken, [B, 2].
-        readings: m.
+        profile: the likelihood on the grid.
+        theta: point about which the covariance is taken, [B, 2].
+        readings: number of readings m.
 
     Returns:
         Covariance of theta, [B, 2, 2], and standard deviations of ln zeta^2, ln varphi and ln rho^2, [B, 3].
@@ -159,7 +159,7 @@ def averaged(profile: Profile, theta: Tensor, readings: int) -> tuple[Tensor, Te
 
 
 class _Point(NamedTuple):
-    """The likelihood at one setting of the fading of each of K data sets; see LikelihoodFit."""
+    """The likelihood of K data sets at one value of the fading each; see LikelihoodFit."""
 
     cost: Tensor
     gradient: Tensor
@@ -180,7 +180,7 @@ def _evaluate(y: Tensor, geometry: Geometry, log_fading: Tensor) -> _Point:
 
 
 def _damped_step(x: Tensor, point: _Point, damping: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
-    """Where to try next, and the Newton decrement; components that a bound holds back stay."""
+    """The next point to try, and the Newton decrement; components blocked by a bound stay."""
     held = ((x <= low) & (point.gradient > 0.0)) | ((x >= high) & (point.gradient < 0.0))
     gradient = point.gradient.masked_fill(held, 0.0)
     information = point.information.masked_fill(held[:, None, :] | held[:, :, None], 0.0)
@@ -194,11 +194,11 @@ def score(y: Tensor, geometry: Geometry, start: Tensor, low: Tensor, high: Tenso
 
     Args:
         y: [K, S, N].
-        geometry: where it was read.
+        geometry: positions of the readings.
         start, low, high: log fading, [K, 3].
 
     Returns:
-        Log fading [K, 3], the likelihood there, and how often it was evaluated for the slowest.
+        Log fading [K, 3], the likelihood there, and the largest number of evaluations for a data set.
     """
     x = start.clamp(low, high)
     point = _evaluate(y, geometry, x)
@@ -222,7 +222,7 @@ def score(y: Tensor, geometry: Geometry, start: Tensor, low: Tensor, high: Tenso
 
 
 def _bounds(profile: Profile, residual: Tensor) -> tuple[Tensor, Tensor]:
-    """Edges of the search in log fading, [B, 3] each: towards no shadowing or no multipath the likelihood is flat."""
+    """Bounds of the search in log fading, [B, 3] each; near zero shadowing or multipath the likelihood is flat."""
     power = residual.square().mean((-2, -1)).clamp_min(NOISELESS).log()
     low, high = (edge.expand_as(power) for edge in (profile.log_varphi[0], profile.log_varphi[-1]))
     below, above = power - LOG_RATIO, power + LOG_RATIO
@@ -242,7 +242,7 @@ def _fit(y: Tensor, geometry: Geometry) -> LikelihoodFit:
     ]
     x = torch.cat([part[0] for part in parts])
     point = _Point(*(torch.cat(pieces) for pieces in zip(*(part[1] for part in parts), strict=True)))
-    # Of each data set's starts the best.
+    # The best result of all starts of each data set.
     order = point.cost.argsort(stable=True)
     order = order[data[order].argsort(stable=True)]
     best = order[torch.cat([data.new_ones(1), data[order].diff()]) > 0]

@@ -1,9 +1,9 @@
-"""A log of SNR readings as a CSV file: who was where, and how well it was heard.
+"""A log of SNR readings as a CSV file: positions of senders and sensors, and SNR.
 
     vehicle_x_m, vehicle_y_m, vehicle_z_m, sensor_x_m, sensor_y_m, sensor_z_m, snr_dB   [time_s, vehicle, sensor]
 
-in any order, one row a reading. A blank snr_dB says that nothing was heard. A message is a distinct pair of vehicle
-position and time; without times, further rows of the same two ends are further messages from the same place.
+in any order, one row per reading. A blank snr_dB means that nothing was received. Rows with the same vehicle position and
+time belong to the same message; without times, a repeated pair of ends is a further message from the same place.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ VEHICLE = ("vehicle_x_m", "vehicle_y_m", "vehicle_z_m")
 SENSOR = ("sensor_x_m", "sensor_y_m", "sensor_z_m")
 REQUIRED = (*VEHICLE, *SENSOR, "snr_dB")
 OPTIONAL = ("time_s", "vehicle", "sensor")
-# Beyond, a number is a slip of units or columns.
+# A larger number indicates a mistake in units or columns.
 MAX_COORDINATE_M, MAX_SNR_DB = 1e6, 500.0
-# Where all sensors read all messages, so many readings cost little; scattered ones need eigenvectors of them all.
+# Largest complete log (each sensor reads each message); other logs need the eigenvectors of all readings.
 COMPLETE = 3000
 
 Place = tuple[float, float, float]
@@ -37,10 +37,10 @@ class LogError(ValueError):
     """A log that cannot be used.
 
     Args:
-        path: of the file.
-        problem: what is wrong, and what would be right.
-        line: of the file, counted from 1.
-        column: its name.
+        path: path of the file.
+        problem: what is wrong, and what would be correct.
+        line: line of the file, counted from 1.
+        column: name of the column.
     """
 
     def __init__(self, path: Path, problem: str, line: int | None = None, column: str | None = None):
@@ -59,16 +59,16 @@ class _Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Log:
-    """R rows of a file, which are of S messages and N sensors.
+    """R rows of a file, with readings of S messages at N sensors.
 
     Attributes:
-        transmitters: where the messages were sent, in the order of time if there is one, else of the file, [S, 3], m.
-        receivers: the sensors, [N, 3], m.
-        names: the sensors' names, or else positions, [N].
-        message, sensor: of each row, int64 [R].
-        snr: [R], dB; nan where nothing was heard.
-        line: of the file, int64 [R].
-        unused: columns that mean nothing here.
+        transmitters: positions of the senders, in the order of time if given, otherwise of the file, [S, 3], m.
+        receivers: positions of the sensors, [N, 3], m.
+        names: names of the sensors, or their positions if they have none, [N].
+        message, sensor: numbers for each row, int64 [R].
+        snr: [R], dB; nan where nothing was received.
+        line: line of the file for each row, int64 [R].
+        unused: names of columns that are not used.
     """
 
     transmitters: Tensor
@@ -82,13 +82,13 @@ class Log:
 
     @property
     def heard(self) -> int:
-        """How many rows hold a reading."""
+        """Number of rows with a reading."""
         return int((~self.snr.isnan()).sum())
 
     def thinned(self, most: int) -> Log:
-        """Readings alone, evenly over the log if there are more than `most`, with the messages and sensors they are of.
+        """Rows with readings only; if there are more than `most`, an evenly spaced selection.
 
-        A log in which all sensors read all messages may have more of them, up to COMPLETE.
+        A log in which all sensors read all messages may have more readings, up to COMPLETE.
         """
         rows = (~self.snr.isnan()).nonzero()[:, 0]
         S, N = (len(which[rows].unique()) for which in (self.message, self.sensor))
@@ -109,14 +109,14 @@ class Log:
         )
 
     def table(self, values: Tensor, nothing: float) -> Tensor:
-        """Values [R] of the rows by message and sensor, [S, N]."""
+        """Values [R] of the rows, arranged by message and sensor, [S, N]."""
         table = values.new_full((len(self.transmitters), len(self.receivers)), nothing)
         table[self.message, self.sensor] = values
         return table
 
     @property
     def readings(self) -> Readings:
-        """One data set, [1, S, N]."""
+        """The log as one data set, [1, S, N]."""
         return Readings(self.transmitters, self.receivers, self.table(self.snr, math.nan)[None])
 
 
@@ -124,15 +124,15 @@ def read_log(path: Path) -> Log:
     """Read and check a file.
 
     Raises:
-        LogError: columns are missing, there is no reading, or a row cannot be.
-        OSError: it cannot be opened.
+        LogError: columns are missing, there is no reading, or a row is invalid.
+        OSError: the file cannot be opened.
     """
     unused, rows = _parse(path)
     messages = _messages(path, rows)
     sensors = _sensors(path, rows)
     if not any(math.isfinite(row.snr) for row in rows):
         raise LogError(path, "holds no reading: every snr_dB is blank" if rows else "holds no rows below its header")
-    # Of messages from one place at one time there is but one, so that keys alone give the order.
+    # Keys (time, place) are unique, so they alone give the order.
     keys = list(dict.fromkeys(messages))
     if rows[0].time is not None:
         keys.sort(key=lambda key: key[1])
@@ -151,7 +151,7 @@ def read_log(path: Path) -> Log:
 
 
 def _messages(path: Path, rows: list[_Row]) -> list[tuple[Place, float]]:
-    """Of each row, where its message was sent, and when, or the how manieth of its two ends it is."""
+    """For each row, the sender's position, and the time, or without times the count of this pair of ends."""
     seen: dict[tuple, int] = {}
     repeated: Counter[tuple] = Counter()
     keys = []
@@ -170,7 +170,7 @@ def _messages(path: Path, rows: list[_Row]) -> list[tuple[Place, float]]:
 
 
 def _sensors(path: Path, rows: list[_Row]) -> list[tuple[str, Place]]:
-    """Of each row, its sensor's name and place."""
+    """For each row, name and position of its sensor."""
     places: dict[str, _Row] = {}
     for row in rows:
         first = places.setdefault(row.name, row)
@@ -229,7 +229,7 @@ def _number(path: Path, line: int, column: str, values: dict[str, str], most: fl
         hint = "; leave the column out if times are not known" if column == "time_s" else ""
         raise LogError(path, f"is blank; only snr_dB may be, where nothing was heard{hint}", line, column)
     try:
-        # Python would read 1_000.
+        # Python would accept 1_000.
         value = float(text.replace("_", "?"))
     except ValueError:
         raise LogError(path, f"{text!r} is no number; write one such as -12.5", line, column) from None

@@ -3,9 +3,9 @@
     Y + epsilon = H theta + v,   v ~ N(0, Omega),   Omega = zeta^2 A (x) E + rho^2 I
 
 with theta = (K, n), rows of H [1, -10 log10 l], A = exp(-|p - p'| / varphi) over the S transmitters and E likewise
-over the N receivers. With A = U a U' and E = V e V', Omega has the eigenvalues zeta^2 a_i e_j + rho^2. Where some
-readings are missing the product falls apart; then the n that are there count as the n receivers of a single message,
-whose distance is the sum of the distances of both ends.
+over the N receivers. With A = U a U' and E = V e V', Omega has the eigenvalues zeta^2 a_i e_j + rho^2. If some
+readings are missing, Omega is not a Kronecker product. The n existing readings are then treated as n receivers of a
+single message, with the sum of the distances of both ends as their distance.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from uwirl.world.acoustics import LinkBudget
 from uwirl.world.geometry import distances
 from uwirl.world.readings import Readings
 
-# Power that counts as none, dB^2: logarithms and factorisations need some.
+# Smallest power, dB^2: logarithms and factorisations need a positive value.
 NOISELESS = 1e-18
 
 
@@ -29,12 +29,12 @@ class UnidentifiableError(ValueError):
 
 
 class Geometry(NamedTuple):
-    """Where B data sets were read.
+    """Distances between the positions at which B data sets were read.
 
     Attributes:
-        H: [S, N, 2].
-        apart: between transmitters, [S, S], m.
-        spacing: between receivers, [N, N], m.
+        H: design matrix, [S, N, 2].
+        apart: distances between transmitters, [S, S], m.
+        spacing: distances between receivers, [N, N], m.
     """
 
     H: Tensor
@@ -55,9 +55,9 @@ class Fading(NamedTuple):
     """Statistics of shadowing and multipath, numbers or [...].
 
     Attributes:
-        zeta2: dB^2.
-        varphi: m.
-        rho2: dB^2.
+        zeta2: variance of the shadowing, dB^2.
+        varphi: correlation distance of the shadowing, m.
+        rho2: variance of the multipath, dB^2.
     """
 
     zeta2: Tensor
@@ -71,11 +71,11 @@ class Fading(NamedTuple):
 
 
 class Spectrum(NamedTuple):
-    """A and E at one correlation distance for each of the leading dimensions.
+    """Eigenvalues and eigenvectors of A and E, for a correlation distance in each of the leading dimensions.
 
     Attributes:
         a, U: eigenvalues [..., S] and eigenvectors [..., S, S] of A.
-        e, V: [..., N] and [..., N, N] of E.
+        e, V: eigenvalues [..., N] and eigenvectors [..., N, N] of E.
     """
 
     a: Tensor
@@ -85,31 +85,31 @@ class Spectrum(NamedTuple):
 
     @classmethod
     def of(cls, geometry: Geometry, varphi: Tensor) -> Spectrum:
-        """At correlation distances [...] in m."""
+        """The spectrum at correlation distances [...] in m."""
         apart, spacing = (torch.exp(-D / varphi[..., None, None]) for D in (geometry.apart, geometry.spacing))
         (a, U), (e, V) = torch.linalg.eigh(apart), torch.linalg.eigh(spacing)
-        # Roundoff makes eigenvalues of nearly coincident places negative.
+        # Rounding errors make eigenvalues of nearly coincident positions negative.
         return cls(a.clamp_min(0.0), U, e.clamp_min(0.0), V)
 
     @property
     def eigenvalues(self) -> Tensor:
-        """Of A (x) E, [..., S, N]."""
+        """Eigenvalues of A (x) E, [..., S, N]."""
         return self.a[..., :, None] * self.e[..., None, :]
 
     def rotate(self, X: Tensor) -> Tensor:
-        """(U (x) V)' X of [..., S, N]."""
+        """(U (x) V)' X for X [..., S, N]."""
         return self.U.mT @ X @ self.V
 
     def rotate_design(self, H: Tensor) -> Tensor:
-        """The same of H [S, N, 2], [..., S, N, 2]."""
+        """(U (x) V)' H for H [S, N, 2], [..., S, N, 2]."""
         return torch.stack([self.rotate(column) for column in H.unbind(-1)], -1)
 
 
 def observations(readings: Readings, budget: LinkBudget) -> Iterator[tuple[Tensor, Tensor, Geometry]]:
-    """Data sets of which the same readings are there: their numbers [b], Y + epsilon [b, S, N] and their geometry.
+    """Groups of data sets with the same existing readings: numbers [b], Y + epsilon [b, S, N] and geometry.
 
     Raises:
-        UnidentifiableError: fewer than three readings, or all over one distance, which leaves the slope undetermined.
+        UnidentifiableError: fewer than three readings, or all over one distance, so that the slope is undetermined.
     """
     distance = readings.distance
     log_distance = -10.0 * torch.log10(distance)
@@ -143,7 +143,7 @@ def _check_identifiable(log_distance: Tensor, distance: Tensor) -> None:
 
 
 def generalized_least_squares(y: Tensor, H: Tensor, W: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """theta = (H' W H)^-1 H' W y in the axes in which W = Omega^-1 is diagonal.
+    """theta = (H' W H)^-1 H' W y, in coordinates in which W = Omega^-1 is diagonal.
 
     Args:
         y: rotated observations, [..., S, N].

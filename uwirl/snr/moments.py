@@ -9,21 +9,22 @@ from uwirl.snr.likelihood import grid
 from uwirl.snr.model import NOISELESS, Fading, Geometry
 
 BINS, VARPHIS = 20, 200
-# Pairs farther apart than this share of the span say little of the correlation distance; but some there must be.
+# Pairs farther apart than the fraction REACH of the span contain little information on the correlation distance; but at
+# least the fraction NEAREST of all pairs is used.
 REACH, NEAREST = 0.17, 0.1
 
 
 def moment_fit(residual: Tensor, geometry: Geometry) -> Fading:
-    """Fit zeta^2 exp(-d / varphi) to binned covariances by weighted least squares; rho^2 is what is left of the power.
+    """Fit zeta^2 exp(-d / varphi) to binned covariances by weighted least squares; rho^2 is the rest of the power.
 
-    Pairs are taken of readings that share an end.
+    Only pairs of readings that share an end are used.
 
     Args:
-        residual: of ordinary or generalized least squares, [B, S, N], dB.
-        geometry: where was read.
+        residual: from ordinary or generalized least squares, [B, S, N], dB.
+        geometry: positions of the readings.
 
     Returns:
-        Each [B]; shares of the power below 1e-4 are raised to that.
+        Fading, [B] each; zeta^2 and rho^2 are at least 1e-4 of the power.
     """
     S, N = residual.shape[1:]
     power = (residual.square().sum((-2, -1)) / (S * N - 2)).clamp_min(NOISELESS)
@@ -48,7 +49,7 @@ def moment_fit(residual: Tensor, geometry: Geometry) -> Fading:
     log_varphi = grid(geometry)[0]
     varphi = torch.linspace(float(log_varphi[0]), float(log_varphi[-1]), VARPHIS, dtype=d.dtype, device=d.device).exp()
     shape = torch.exp(-centre / varphi[:, None])
-    # For each varphi the best zeta^2, within the power there is.
+    # The best zeta^2 for each varphi, at most the total power.
     best = (covariance @ (weight * shape).mT) / (weight * shape.square()).sum(-1)
     best = torch.minimum(best.clamp_min(0.0), power[:, None])
     cost = (weight * (covariance[:, None] - best[..., None] * shape).square()).sum(-1)

@@ -1,7 +1,7 @@
-"""Readings that do not belong: outliers, and sensors that lie.
+"""Rejection of outliers: single readings, and sensors with wrong readings.
 
-Both are held against the repeated median line (A. F. Siegel: "Robust regression using repeated medians", Biometrika
-69(1), 242-244, 1982), of which almost half the readings may be wrong.
+Both are compared with the repeated median line (A. F. Siegel: "Robust regression using repeated medians", Biometrika
+69(1), 242-244, 1982), which tolerates almost 50 % wrong readings.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from torch import Tensor
 from uwirl.world.acoustics import LinkBudget
 from uwirl.world.readings import Readings
 
-# Robust standard deviations beyond which a reading or a sensor is not believed; few of them make the scale uncertain.
+# Readings and sensors beyond this many robust standard deviations are rejected; the limit is higher for few values.
 CUT, FEW = 4.0, 5.0
-# Partners of each reading: more would make the line no better, and take memory.
+# Partners of each reading: more would not improve the line, and would need memory.
 PARTNERS = 1000
-# A sensor's median says nothing of its honesty if it has fewer readings, nor if fewer sensors stand beside it.
+# A sensor is judged only if it has this many readings, and if there are this many such sensors.
 LEAST = 3
-# Scales below this are roundoff, dB.
+# Smaller scales are rounding errors, dB.
 ROUNDOFF_DB = 1e-6
 
 
@@ -34,7 +34,7 @@ def repeated_median(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def unlike(values: Tensor) -> Tensor:
-    """Which of the values [n] stand apart from most, bool; nan stands nowhere."""
+    """Which of the values [n] are outliers, bool; nan is not an outlier."""
     count = int((~values.isnan()).sum())
     deviation = (values - values.nanmedian()).abs()
     scale = (1.4826 * deviation.nanmedian()).clamp_min(ROUNDOFF_DB)
@@ -42,7 +42,7 @@ def unlike(values: Tensor) -> Tensor:
 
 
 def reject_outliers(readings: Readings, budget: LinkBudget) -> Readings:
-    """The same readings, with nan instead of those that are not believed."""
+    """The same readings, with nan in place of rejected ones."""
     distance = readings.distance
     log_distance = -10.0 * torch.log10(distance)
     kept = []

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Water:
-    """Sea water, as far as it absorbs sound.
+    """Properties of sea water that determine the absorption of sound.
 
     Attributes:
         temperature_C: degrees Celsius.
@@ -24,7 +24,7 @@ class Water:
 
 
 def thorp(frequency_khz: float, water: Water) -> float:
-    """Absorption under (6), for 4 degrees Celsius at a depth of 900 m whatever the water.
+    """Thorp's formula below (6), for 4 degrees Celsius at a depth of 900 m; it ignores the given water.
 
     a(f) = 0.11 f^2/(1 + f^2) + 44 f^2/(4100 + f^2) + 2.75e-4 f^2 + 0.003
     """
@@ -38,7 +38,7 @@ def _relaxation(frequency_khz: float, relaxation_khz: float) -> float:
 
 
 def francois_garrison(frequency_khz: float, water: Water) -> float:
-    """Boric acid, magnesium sulphate and pure water, 0.2 kHz to 1 MHz.
+    """Formula of Francois and Garrison: boric acid, magnesium sulphate and pure water, 0.2 kHz to 1 MHz.
 
     R. E. Francois, G. R. Garrison: "Sound absorption based on ocean measurements. Part II: Boric acid contribution and
     equation for total absorption", J. Acoust. Soc. Am. 72(6), 1879-1890, 1982.
@@ -60,7 +60,7 @@ def francois_garrison(frequency_khz: float, water: Water) -> float:
 
 
 def fisher_simmons(frequency_khz: float, water: Water) -> float:
-    """Likewise, 10 to 400 kHz, for a salinity of 35 and pH 8 whatever the water's.
+    """Formula of Fisher and Simmons, 10 to 400 kHz, for a salinity of 35 and pH 8; it ignores the given ones.
 
     F. H. Fisher, V. P. Simmons: "Sound absorption in sea water", J. Acoust. Soc. Am. 62(3), 558-564, 1977.
     """

@@ -1,7 +1,7 @@
 """The underwater acoustic channel: absorption, mean SNR and capacity (eqs 5-8).
 
-What is known of a link before anything is heard, its budget, and the channel behind it are two types: who estimates or
-plans is given the first, and works out the second from readings.
+Two types separate what is known beforehand (`LinkBudget`) from the channel itself (`Channel`). Estimators and planners
+get the budget, and must estimate the channel from readings.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from uwirl.world.absorption import ABSORPTION_LAWS, Water
 
 @dataclass(frozen=True)
 class LinkBudget:
-    """What is known of acoustic links beforehand: noise, bandwidth, absorption, and what an SNR carries.
+    """What is known about acoustic links beforehand: noise, bandwidth, absorption, and the capacity at a given SNR.
 
     Attributes:
         N0_dB: noise level, dB.
         bandwidth_khz: B, kHz, so that capacities are in kbit/s.
         absorption: name of an absorption law, or "none".
         frequency_khz: f, kHz; only with an absorption law.
-        water: which absorbs.
+        water: properties of the water, for the absorption law.
     """
 
     N0_dB: float
@@ -43,7 +43,7 @@ class LinkBudget:
         return ABSORPTION_LAWS[self.absorption](self.frequency_khz, self.water)
 
     def known_loss_dB(self, distance_m: Tensor) -> Tensor:
-        """epsilon under (10): noise and absorption, the part of (6) that needs no estimation, dB."""
+        """epsilon below (10): noise and absorption, the part of (6) that needs no estimation, dB."""
         # The paper multiplies a(f), which is in dB/km, by metres.
         return self.N0_dB + distance_m * (self.absorption_dB_per_km / 1000.0)
 
@@ -52,7 +52,7 @@ class LinkBudget:
         return self.bandwidth_khz * torch.log1p(10.0 ** (snr_dB / 10.0)) / math.log(2.0)
 
     def snr_for_dB(self, capacity_kbps: float) -> float:
-        """The SNR in dB that carries a capacity in kbit/s: the inverse of (7)."""
+        """The SNR in dB that gives a capacity in kbit/s: the inverse of (7)."""
         return 10.0 * math.log10(math.expm1(math.log(2.0) * capacity_kbps / self.bandwidth_khz))
 
 
@@ -63,14 +63,14 @@ class Channel:
     SNR_dB(l) = K - 10 n log10(l) - (l / 1000) a(f) - N0           (6) without its random terms
     C(l) = B log2(1 + 10^(SNR_dB / 10))                            (7), (8)
 
-    K is the source level in dB re 1 uPa at 1 m where N0 is the noise level in the band, in dB re 1 uPa.
+    If N0 is the noise level in the band, in dB re 1 uPa, then K is the source level in dB re 1 uPa at 1 m.
 
     Attributes:
         budget: what is known beforehand.
-        K_dB: transmission constant, dB; a number, or [M] where vehicles differ (estimates).
-        n: spreading exponent, likewise.
+        K_dB: transmission constant, dB; a number, or [M] if it differs between vehicles (estimates).
+        n: spreading exponent (path-loss exponent); a number or [M].
         zeta_dB: standard deviation of shadowing, Gaussian in dB; see `uwirl.world.fading`.
-        varphi_m: its correlation distance, m.
+        varphi_m: correlation distance of the shadowing, m.
         rho_dB: standard deviation of multipath, Gaussian in dB.
     """
 
@@ -83,7 +83,7 @@ class Channel:
 
     @classmethod
     def paper(cls) -> Channel:
-        """channel=paper: the constants that reproduce the capacities which the paper reports."""
+        """channel=paper: constants that reproduce the capacities in the paper."""
         return cls(LinkBudget(N0_dB=-160.0, bandwidth_khz=10.0), -60.0, 5.0, zeta_dB=0.07, varphi_m=3.51, rho_dB=0.2864)
 
     def mean_snr_dB(self, distance_m: Tensor) -> Tensor:
@@ -101,7 +101,7 @@ class Channel:
         return self.capacity_kbps(self.mean_snr_dB(distance_m))
 
     def of(self, vehicle: Tensor) -> Channel:
-        """The channel of some vehicles, by their numbers [K], which count on over all worlds."""
+        """The channel of some vehicles, by their numbers [K], counted through all worlds."""
 
         def own(value: float | Tensor) -> float | Tensor:
             return value[vehicle % len(value)] if isinstance(value, Tensor) else value

@@ -1,4 +1,4 @@
-"""What flies a vehicle: it perceives an Observation and acts, and all that it remembers is in its carry."""
+"""Agents, which control vehicles: they get an Observation and return tau; their memory is a carry."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from uwirl.world.observation import Observation
 
 
 class Agent(Protocol):
-    """Pure in both methods: the same call twice gives the same, and nothing is kept between calls but the carry.
+    """Controls vehicles. Both methods are pure: the same call gives the same result, and the carry is the only memory.
 
-    A carry is a NamedTuple of tensors (or of such), so that a flight can be stopped, saved, continued bitwise, batched
-    and moved to another device. One that has an attribute `target` [B, M, 3] tells the other vehicles where each means
-    to go; one that has `blocked` [B, M] says which of them found no way there.
+    A carry is a NamedTuple of tensors or of further such NamedTuples, so that a flight can be stopped, saved, continued
+    bitwise, batched and moved to another device. If a carry has an attribute `target` [B, M, 3], these targets are
+    announced to the other vehicles; an attribute `blocked` [B, M] marks vehicles without a free route to their target.
     """
 
     def init(self, observation: Observation) -> Any:
@@ -29,20 +29,20 @@ class Agent(Protocol):
         ...
 
 
-# Between an agent and the thrusters: from the tau [B, M, 4] that is wanted to the one that is safe.
+# Between an agent and the thrusters: from the wanted tau [B, M, 4] to a safe one.
 Guard = Callable[[Tensor, Observation], Tensor]
 
 
 def check_shape(name: str, value: object, shape: torch.Size) -> None:
-    """Refuse what is no tau [B, M, 4] or no target [B, M, 3].
+    """Check that a value is a tensor of the needed shape: tau [B, M, 4] or a target [B, M, 3].
 
     Args:
-        name: what it should be, for the message.
+        name: name of the value, for the message.
         value: anything.
-        shape: that is needed.
+        shape: the needed shape.
 
     Raises:
-        ValueError: it is no floating-point tensor of that shape.
+        ValueError: the value is not a floating-point tensor of that shape.
     """
     if isinstance(value, Tensor) and value.is_floating_point() and value.shape == shape:
         return
@@ -51,10 +51,10 @@ def check_shape(name: str, value: object, shape: torch.Size) -> None:
 
 
 def decide(agent: Agent, carry: Any, observation: Observation) -> tuple[Tensor, Any]:
-    """What an agent does, if that is what `Agent.act` promises: tau [B, M, 4] and the next carry.
+    """Call `Agent.act` and check its result: tau [B, M, 4] and the next carry.
 
     Raises:
-        ValueError: it returned no pair, or something else in place of tau.
+        ValueError: the agent did not return a pair, or tau has another type or shape.
     """
     name, action = type(agent).__name__, agent.act(carry, observation)
     if not (isinstance(action, tuple) and len(action) == 2):
@@ -68,7 +68,7 @@ class Feedback:
     """An agent without memory.
 
     Attributes:
-        law: from an observation to tau [B, M, 4].
+        law: function of an observation, returns tau [B, M, 4].
     """
 
     law: Callable[[Observation], Tensor]
@@ -78,7 +78,7 @@ class Feedback:
         return ()
 
     def act(self, carry: tuple[()], observation: Observation) -> tuple[Tensor, tuple[()]]:
-        """tau by the law."""
+        """tau from the law."""
         return self.law(observation), carry
 
 
@@ -90,10 +90,10 @@ class Guarded:
     guard: Guard
 
     def init(self, observation: Observation) -> Any:
-        """That of the agent."""
+        """The carry of the agent."""
         return self.agent.init(observation)
 
     def act(self, carry: Any, observation: Observation) -> tuple[Tensor, Any]:
-        """What the guard makes of the agent's tau."""
+        """The agent's tau, changed by the guard."""
         tau, carry = decide(self.agent, carry, observation)
         return self.guard(tau, observation), carry

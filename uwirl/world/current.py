@@ -5,9 +5,9 @@ The covariance of a component at two times is std^2 exp(-|t - t'| / T), the firs
 
     sum_k sqrt(2 / K) std cos(omega_k t + phi_k)
 
-where phi_k is uniform and omega_k Cauchy with scale 1/T, whose characteristic function is exp(-|t| / T). That makes
-the current a pure function of (seed, world, time): it can be read at any time, in any order, and a resumed run needs
-no state.
+where phi_k is uniform and omega_k Cauchy with scale 1/T, whose characteristic function is exp(-|t| / T). The
+current is then a pure function of (seed, world, time): it can be evaluated at any time, in any order, and a resumed run
+needs no state.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ CurrentField = Callable[[float | Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Current:
-    """The current of B worlds, the same everywhere in each.
+    """The current of B worlds, uniform in space.
 
     Attributes:
         mean: in the inertial frame, [3] or [B, 3], m/s.
@@ -47,11 +47,11 @@ class Current:
 
     @property
     def is_still(self) -> bool:
-        """Whether it is zero in every world at all times."""
+        """Whether the current is zero in every world at all times."""
         return self.std == 0.0 and not bool(self.mean.any())
 
     def worlds(self, index: Tensor) -> Current:
-        """That of some worlds of a batch, by their numbers [K]."""
+        """The current of some worlds of a batch, by their numbers [K]."""
         return self if self.mean.ndim == 1 else Current(self.mean[index], self.std, self.time_constant)
 
     def realise(self, streams: RandomStreams) -> CurrentField:
@@ -61,8 +61,8 @@ class Current:
             streams: B worlds.
 
         Returns:
-            From a time in s, a number or a tensor that broadcasts against [B], to the velocity of the water in the
-            inertial frame, [..., B, 3], m/s.
+            A function of time in s, a number or a tensor that broadcasts against [B]. Its value is the velocity of the
+            water in the inertial frame, [..., B, 3], m/s.
         """
         worlds = len(streams.seed)
         mean = self.mean.expand(worlds, 3)

@@ -4,9 +4,9 @@ Between the links (p, q) and (p', q') its covariance is
 
     zeta^2 exp(-(|p - p'| + |q - q'|) / varphi)
 
-which is (11) where one end is fixed. The ends of a link stand in the order source < destination < vehicles < sensors,
-so that the field is the same both ways; within a world it stays, so that a link read twice has the same shadowing.
-Multipath is drawn anew for each reading and is no part of this.
+which is (11) if one end is fixed. The ends of a link are sorted in the order source < destination < vehicles < sensors,
+so that the field is equal in both directions. It is constant within a world: repeated readings of a link have the same
+shadowing. Multipath is drawn for each reading and is not part of this module.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from uwirl.world.geometry import distances
 from uwirl.world.random import RandomStreams, Stream
 
 COSINES = 512
-# Of Newton's method on Kepler's equation, where it converges monotonically.
+# Iterations of Newton's method for Kepler's equation, for which it converges monotonically.
 KEPLER_STEPS = 10
 
 # From the two ends of links, each [..., B, *, 3] in m, to their shadowing in dB.
@@ -51,7 +51,7 @@ def exact_shadowing(first: Tensor, second: Tensor, zeta_dB: float, varphi_m: flo
 
 @dataclass(frozen=True)
 class Shadowing:
-    """The field as a pure function of (seed, world, both ends), for flight: it costs the same however much was read.
+    """The field as a pure function of (seed, world, both ends), for missions; its cost is the same at every reading.
 
     It is a spectral sum
 
@@ -72,15 +72,15 @@ class Shadowing:
     cosines: int = COSINES
 
     def realise(self, streams: RandomStreams) -> ShadowingField:
-        """The field of each of B worlds."""
+        """The field of each of B worlds, as a function of both ends."""
         K, worlds = self.cosines, len(streams.seed)
         if self.zeta_dB == 0.0:
             none = torch.zeros(worlds, 1, dtype=torch.float64, device=streams.seed.device)
             return lambda first, second: none * (first + second)[..., 0]
         draws = streams.uniform(Stream.CHANNEL, 0, 8 * K).view(worlds, 8, K)
         bands = torch.arange(K, device=draws.device)
-        # Each end takes one radius from each of K equally likely bands, in an order of its own: every world then has
-        # the whole spectrum at both.
+        # Each end takes one radius from each of K equally likely bands, in its own random order: every world then has
+        # the whole spectrum at both ends.
         omega = self._frequencies(bands, *draws[:, :3].unbind(1))
         omega_2 = self._frequencies(draws[:, 3].argsort(-1), *draws[:, 4:7].unbind(1))
         phase = 2.0 * math.pi * draws[:, 7]

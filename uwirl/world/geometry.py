@@ -1,4 +1,4 @@
-"""Rotations in the horizontal plane, angles that wrap, and distances: the geometry that everything else shares.
+"""Rotations in the horizontal plane, wrapped angles and distances, used by all other modules.
 
 psi turns the inertial frame's x axis into the body's surge axis, counter-clockwise seen from above.
 """
@@ -12,34 +12,34 @@ from torch import Tensor
 
 
 def to_body(x: Tensor, y: Tensor, psi: Tensor) -> tuple[Tensor, Tensor]:
-    """Components along the axes of a frame turned by psi, of a vector in the inertial frame; all broadcast."""
+    """Components of an inertial vector along the axes of a frame turned by psi; arguments broadcast."""
     c, s = torch.cos(psi), torch.sin(psi)
     return c * x + s * y, c * y - s * x
 
 
 def to_inertial(u: Tensor, v: Tensor, psi: Tensor) -> tuple[Tensor, Tensor]:
-    """Components in the inertial frame, of a vector along the axes of a frame turned by psi; all broadcast."""
+    """Inertial components of a vector given along the axes of a frame turned by psi; arguments broadcast."""
     c, s = torch.cos(psi), torch.sin(psi)
     return c * u - s * v, s * u + c * v
 
 
 def turned_to_body(vector: Tensor, psi: Tensor) -> Tensor:
-    """A vector [..., 2 or more] of the inertial frame in body axes of yaw psi [...]; what comes after x, y stays."""
+    """An inertial vector [..., 2 or more] in body axes of yaw psi [...]; components after x, y are unchanged."""
     return torch.cat([torch.stack(to_body(vector[..., 0], vector[..., 1], psi), -1), vector[..., 2:]], -1)
 
 
 def turned_to_inertial(vector: Tensor, psi: Tensor) -> Tensor:
-    """A vector [..., 2 or more] along body axes of yaw psi [...] in the inertial frame; what comes after u, v stays."""
+    """A body vector [..., 2 or more] of yaw psi [...] in the inertial frame; components after u, v are unchanged."""
     return torch.cat([torch.stack(to_inertial(vector[..., 0], vector[..., 1], psi), -1), vector[..., 2:]], -1)
 
 
 def left_of(direction: Tensor) -> Tensor:
-    """[..., 2] turned by 90 degrees to the left."""
+    """Vectors [..., 2] turned by 90 degrees to the left."""
     return torch.stack([-direction[..., 1], direction[..., 0]], -1)
 
 
 def unit_vector(angle: Tensor) -> Tensor:
-    """[..., 2] at angles [...]."""
+    """Unit vectors [..., 2] at angles [...] from the x axis."""
     return torch.stack([torch.cos(angle), torch.sin(angle)], -1)
 
 
@@ -56,6 +56,6 @@ def rotation_matrix(psi: Tensor) -> Tensor:
 
 
 def distances(a: Tensor, b: Tensor) -> Tensor:
-    """Between points [..., m, 3] and [..., n, 3]: [..., m, n], m."""
-    # The default multiplies matrices, which is wrong by 1e-7 and has no zero diagonal.
+    """Distances between points [..., m, 3] and points [..., n, 3], [..., m, n], m."""
+    # The default mode multiplies matrices: its errors are 1e-7, and the diagonal is not zero.
     return torch.cdist(a, b, compute_mode="donot_use_mm_for_euclid_dist")

@@ -1,6 +1,6 @@
 """Random layouts: where vehicles start and cylinders stand, each world a pure function of its seed.
 
-The kinds are those of `uwirl.world.sites`. A layout that breaks a rule of `_acceptable` is drawn again, from the next
+The kinds are those of `uwirl.world.sites`. A layout that violates a rule of `_acceptable` is drawn again, from the next
 step of the world's stream.
 """
 
@@ -20,12 +20,12 @@ from uwirl.world.sites import GENERATORS, NUMBERS, Site, cylinders
 KINDS = tuple(GENERATORS)
 
 ATTEMPTS = 1000
-# Rules: least horizontal distance to go, between vehicles (3-D), and from cylinders.
+# Rules: least horizontal distance from start to target, between vehicles (3-D), and from cylinders.
 WAY_M, SEPARATION_M = 12.0, 2.0
 START_CLEARANCE_M, MOVING_START_CLEARANCE_M, TARGET_CLEARANCE_M = 0.6, 1.5, 1.2
-# A drifting cylinder passes no target nearer than this, for so long.
+# A drifting cylinder keeps this distance from every target, during this time.
 SWEPT_CLEARANCE_M, SWEPT_TIME_S = 0.8, 120.0
-# Where absent cylinders are kept.
+# Position of absent cylinders, far from everything.
 FAR_M = 1e4
 
 
@@ -44,18 +44,18 @@ class Layouts:
     kind: Tensor
 
     def feasible(self, targets: Tensor, inflation: float) -> Tensor:
-        """Whether a way leads every vehicle to its target, with cylinders where they are at time 0, bool [N].
+        """Whether every vehicle has a free route to its target, with cylinders at their positions at time 0, bool [N].
 
         Args:
             targets: [M, 3] or [N, M, 3], m.
-            inflation: vehicle radius and margin, m.
+            inflation: vehicle radius plus margin, m.
         """
         for_each_vehicle = self.obstacles.each(lambda field: field[:, None])
         return ~separated(for_each_vehicle, inflation, self.start[..., :2], targets[..., :2]).any(-1)
 
 
 def _acceptable(site: Site, targets: Tensor, obstacles: Obstacles, vehicle_radius: float, clearance_m: float) -> Tensor:
-    """Whether everybody has room at the start, at the target and on the way between, bool [n]."""
+    """Whether all vehicles have room at their starts and targets, and some distance to fly, bool [n]."""
     position = site.start[..., :3]
     way = torch.linalg.vector_norm(position[..., :2] - targets[:, :2], dim=-1)
     i, j = torch.triu_indices(len(targets), len(targets), 1, device=targets.device)
@@ -83,19 +83,19 @@ def draw_layouts(
     vehicle_radius: float = 0.3,
     influence_gap_m: float = 4.0,
 ) -> Layouts:
-    """One layout for each world; world i of a seed has kind kinds[i % len(kinds)].
+    """One random layout for each world; world i of a seed has kind kinds[i % len(kinds)].
 
     Args:
         streams: N worlds.
         kinds: names among KINDS.
-        targets: where each vehicle is to go, [M, 3], m; its dtype is that of the layouts.
+        targets: target of each vehicle, [M, 3], m; layouts have the same dtype.
         half_width_m: vehicles start in a square of this half width about the targets' centroid.
         vehicle_radius: m.
         influence_gap_m: influence radius less physical radius.
 
     Raises:
         ValueError: a kind is unknown, or none is given.
-        RuntimeError: the targets leave no room: no attempt for some world was acceptable.
+        RuntimeError: no attempt was acceptable for some world, because the targets leave no room.
     """
     if not kinds or not set(kinds) <= set(KINDS):
         raise ValueError(f"kinds: expected some of {', '.join(KINDS)}, got {', '.join(kinds) or 'none'}")
@@ -126,7 +126,7 @@ def draw_layouts(
 
 
 def _padded(drawn: Obstacles, influence_gap_m: float, dtype: torch.dtype) -> Obstacles:
-    """With influence radii, and absent cylinders out of the way of whoever forgets the mask."""
+    """Obstacles with influence radii; absent cylinders are far away, so that ignoring the mask does no harm."""
     present = drawn.present
     return Obstacles(
         torch.where(present[..., None], drawn.centre, FAR_M).to(dtype),

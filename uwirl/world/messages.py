@@ -1,4 +1,4 @@
-"""Acoustic messages: what vehicles tell each other, and how well sensors hear them (eqs 9-10)."""
+"""Acoustic messages: what vehicles send to each other, and the SNR at which sensors receive them (eqs 9-10)."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from uwirl.world.truth import Truth
 
 
 class Messages(NamedTuple):
-    """What each of M vehicles [B, M] has received in this step; entry j of the third dimension is from vehicle j.
+    """What each of M vehicles [B, M] has received in this step; index j of the third dimension is the sender.
 
-    Vehicles tell each other their poses at every step; an entry about the vehicle itself is its own.
+    Vehicles send each other their poses at every step; with itself as the sender, a vehicle has its own pose.
 
     Attributes:
         eta: poses, [B, M, M, 4].
         nu: velocities, [B, M, M, 4].
-        target: where each means to go, [B, M, M, 3], m; nan of a vehicle that has not said.
-        snr: readings of the vehicle's own message, of the source's and of the destination's by each of the N sensors
-            that answered it, [B, M, 3, N], dB, nan where nothing was heard; [B, M, 3, 0] in a step without a message.
+        target: target that each sender has announced, [B, M, M, 3], m; nan if it has announced none.
+        snr: SNR of the vehicle's own message, the source's and the destination's at each of the N sensors, as answered
+            by these, [B, M, 3, N], dB, nan where nothing was received; [B, M, 3, 0] in a step without a message.
     """
 
     eta: Tensor
@@ -33,13 +33,13 @@ class Messages(NamedTuple):
 
 
 def told_to_all(values: Tensor) -> Tensor:
-    """Values [..., M, k] of each vehicle as all of them receive these, [..., M, M, k], a view."""
+    """Values [..., M, k] of each sender as received by every vehicle, [..., M, M, k], a view."""
     spread = values.unsqueeze(-3)
     return spread if spread.shape[-2] == 1 else spread.expand(*values.shape[:-1], *values.shape[-2:])
 
 
 def transmitters(scenario: Scenario, position: Tensor) -> Tensor:
-    """Where an exchange's messages are sent: vehicle [..., 3], source and destination; [..., 3, 3], float64, m."""
+    """Positions of the three senders of an exchange: vehicle [..., 3], source, destination; [..., 3, 3], float64, m."""
     nodes = [node.expand_as(position) for node in (scenario.source, scenario.destination)]
     return torch.stack([position, *nodes], -2).to(torch.float64)
 
@@ -47,11 +47,11 @@ def transmitters(scenario: Scenario, position: Tensor) -> Tensor:
 def snr_heard(
     scenario: Scenario, truth: Truth, streams: RandomStreams, position: Tensor, vehicle: int, message: int | Tensor
 ) -> Tensor:
-    """SNR that the sensors read of one vehicle's message, and of the source's and the destination's.
+    """SNR at the sensors of one vehicle's message, and of the source's and the destination's.
 
-    The vehicle asks, and the sensors within hearing range answer (the set N_i) with what they read of it and, being
-    nodes of the same network, of source and destination where they hear those. A reading is mean SNR (6) plus
-    shadowing plus multipath, the latter drawn anew for each.
+    The vehicle sends a message. The sensors within hearing range (the set N_i) answer with its SNR and, if they are
+    within hearing range of source and destination, with the SNR of messages from these. A reading is mean SNR (6)
+    plus shadowing plus multipath; multipath is drawn independently for each reading.
 
     Args:
         scenario: sensors and hearing range.
@@ -59,10 +59,10 @@ def snr_heard(
         streams: random numbers of B worlds.
         position: of the vehicle, [B, 3], m.
         vehicle: its number.
-        message: the number of its message, from 0; a number or int64 [B].
+        message: number of the message, from 0; a number or int64 [B].
 
     Returns:
-        [B, 3, N], dB; nan where nothing was heard or not answered.
+        [B, 3, N], dB; nan where a sensor received nothing or did not answer.
     """
     sent, sensors = transmitters(scenario, position), scenario.sensors.to(torch.float64)
     distance = distances(sent, sensors)
@@ -78,20 +78,20 @@ def snr_heard(
 def link_snr_heard(
     scenario: Scenario, truth: Truth, streams: RandomStreams, position: Tensor, message: Tensor
 ) -> Tensor:
-    """SNR that each vehicle reads of a message from either neighbour in the chain.
+    """SNR at each vehicle of a message from each of its two neighbours in the chain.
 
-    Mean SNR (6) plus shadowing, which is the same both ways, plus multipath, drawn anew for each reading.
+    Mean SNR (6), plus shadowing, which is equal in both directions, plus multipath, drawn for each reading.
 
     Args:
         scenario: hearing range.
         truth: the channel.
         streams: random numbers of B worlds.
         position: of the vehicles in chain order, [B, M, 3], m.
-        message: its number, from 0, int64 [B].
+        message: number of the message, from 0, int64 [B].
 
     Returns:
-        From the side of the source and from that of the destination, [B, M, 2], dB, float64; nan where nothing was
-        heard.
+        SNR of the messages from the neighbours towards source and destination, [B, M, 2], dB, float64; nan where
+        nothing was received.
     """
     position = position.double()
     link = truth.link_snr_dB(position, shadowed=True)

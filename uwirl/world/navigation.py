@@ -1,7 +1,7 @@
-"""How well a vehicle knows where it is: noise on what its instruments tell, and a position that drifts away.
+"""Navigation errors of a vehicle: noise of its instruments, and a drifting position.
 
-Without position fixes a vehicle integrates its velocity, whose small constant error becomes a position error that grows
-with time, as that of a Doppler log does.
+Without position fixes a vehicle integrates its velocity. A small constant velocity error, for example of a Doppler log,
+then becomes a position error that grows with time.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from uwirl.world.random import RandomStreams, Stream
 
 @dataclass(frozen=True)
 class Navigation:
-    """Standard deviations; all zero is a vehicle that knows its pose exactly.
+    """Standard deviations of the errors; if all are zero, the vehicle knows its pose exactly.
 
     Attributes:
         position_m: of each reading of x, y, z, m.
@@ -37,7 +37,7 @@ class Navigation:
         return not any((self.position_m, self.yaw_rad, self.velocity_mps, self.yaw_rate_rad_s, self.drift_mps))
 
     def error(self, streams: RandomStreams, step: Tensor, time: Tensor, vehicles: int) -> Tensor:
-        """What is added to the true (eta, nu), [B, M, 8], a pure function of world and step.
+        """Error added to the true (eta, nu), [B, M, 8], a pure function of world and step.
 
         Args:
             streams: B worlds.
@@ -50,7 +50,7 @@ class Navigation:
             dtype=torch.float64,
             device=step.device,
         )
-        # Steps count from 1, because the numbers of step 0 give the drift.
+        # Offset by 1, because the random numbers of step 0 give the drift.
         noise = std * streams.normal(Stream.NAVIGATION, 1 + step, 8 * vehicles).view(-1, vehicles, 8)
         drift = self.drift_mps * streams.normal(Stream.NAVIGATION, 0, 2 * vehicles).view(-1, vehicles, 2)
         return noise + torch.nn.functional.pad(drift * time[:, None, None], (0, 6))

@@ -1,4 +1,4 @@
-"""What a vehicle can know of its world at one moment, and nothing else."""
+"""Everything that a vehicle can know about its world at one time step."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from uwirl.world.obstacles import Obstacles
 
 
 class Observation(NamedTuple):
-    """What the vehicles [B, M] perceive.
+    """The observation of vehicles [B, M].
 
     Attributes:
-        step: of the flight, int64 [B].
-        time: since the flight began, [B], float64, s.
-        eta: own pose, by its own navigation, [B, M, 4].
-        nu: own velocity, likewise, [B, M, 4].
-        obstacles: those that each vehicle detects now, or all of a known map; fields [B, M, O(, 2)], `present` only
-            where detected. Their axes are given where they were, or would have been, at time 0.
-        contact: whether it touches the surface (1), the floor (-1) or neither (0), int8 [B, M].
+        step: number of the step, from the beginning of the flight, int64 [B].
+        time: since the beginning of the flight, [B], float64, s.
+        eta: the vehicle's pose, as given by its navigation, [B, M, 4].
+        nu: the vehicle's velocity, as given by its navigation, [B, M, 4].
+        obstacles: those that each vehicle detects now, or all if they are known; fields [B, M, O(, 2)]; `present` is
+            True for detected ones. `centre` is the position of the axis extrapolated to time 0.
+        contact: 1 at the surface, -1 at the floor, 0 elsewhere, int8 [B, M].
         messages: received in this step.
     """
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 
 class Obstacles(NamedTuple):
-    """O cylinders, the same in every world or other ones in each; worlds with fewer pad with `present` False.
+    """O cylinders, the same in all worlds or different in each; unused places of a world have `present` False.
 
     Attributes:
         centre: of the axis at time 0, [..., O, 2], m.
@@ -28,15 +28,15 @@ class Obstacles(NamedTuple):
 
     @property
     def number(self) -> int:
-        """O."""
+        """Number of cylinders O, present or not."""
         return self.radius.shape[-1]
 
     def each(self, change: Callable[[Tensor], Tensor]) -> Obstacles:
-        """With every field changed alike."""
+        """Obstacles with the same function applied to every field."""
         return Obstacles(*(change(field) for field in self))
 
     def worlds(self, index: Tensor) -> Obstacles:
-        """Those of some worlds of a batch, by their numbers [K]; the same ones where all worlds share them."""
+        """The obstacles of some worlds of a batch, by their numbers [K]; unchanged if all worlds share them."""
         return self if self.radius.ndim == 1 else self.each(lambda field: field[index])
 
     def offset(self, position: Tensor, time: Tensor | float = 0.0) -> Tensor:
@@ -51,12 +51,12 @@ class Obstacles(NamedTuple):
         return position[..., :, None, :2] - centre[..., None, :, :]
 
     def distance(self, position: Tensor, time: Tensor | float = 0.0) -> Tensor:
-        """l: from axis to vehicle, [..., M, O], m; infinite where there is no obstacle. Arguments as for `offset`."""
+        """l: from axis to vehicle, [..., M, O], m; infinite where there is no obstacle. Arguments: see `offset`."""
         l = torch.linalg.vector_norm(self.offset(position, time), dim=-1)
         return torch.where(self.present[..., None, :], l, torch.inf)
 
     def clearance(self, position: Tensor, vehicle_radius: float, time: Tensor | float = 0.0) -> Tensor:
-        """Gap between hull and cylinder, [..., M, O], m: negative in contact, infinite where there is no obstacle.
+        """Distance between hull and cylinder, [..., M, O], m: negative in contact, infinite where there is no obstacle.
 
         Args:
             position: [..., M, 3], m.

@@ -75,18 +75,18 @@ class RandomStreams:
 
     @classmethod
     def replicates(cls, seeds: Sequence[int], device: torch.device | str = "cpu") -> RandomStreams:
-        """World 0 of each of several seeds: what separate runs with those seeds would draw."""
+        """World 0 of each of several seeds: the same numbers as in separate runs with those seeds."""
         seed = torch.tensor(list(seeds), device=device)
         return cls(seed, torch.zeros_like(seed))
 
     def select(self, index: Tensor) -> RandomStreams:
-        """Those of some of the worlds, by their places [K] in the batch."""
+        """The random numbers of some worlds, by their indices [K] in the batch."""
         return RandomStreams(self.seed[index], self.world[index])
 
     def uniform(self, stream: Stream, step: int | Tensor, count: int) -> Tensor:
-        """Float64 draws in [0, 1), [B, count], of a step that is a number or int64 [B].
+        """Uniform float64 draws in [0, 1), [B, count], for a step that is a number or int64 [B].
 
-        The draws of a single world may be asked for at several steps.
+        With a single world, several steps may be given.
         """
         blocks = torch.arange((count + 1) // 2, device=self.seed.device)
         world, at = torch.broadcast_tensors(self.world, torch.as_tensor(step, device=self.seed.device))

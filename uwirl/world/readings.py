@@ -1,4 +1,4 @@
-"""SNR readings as an estimator gets them: who heard whom, and how well (eqs 9-10)."""
+"""SNR readings as estimators get them: senders, receivers and SNR (eqs 9-10)."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from uwirl.world.truth import truth_of
 
 @dataclass(frozen=True)
 class Readings:
-    """What each of N sensors reads of each of S messages; B data sets may have been read at the same places.
+    """SNR of each of S messages at each of N sensors, for B data sets with the same positions.
 
     Attributes:
-        transmitters: where the messages were sent, [S, 3], m.
-        receivers: the sensors, [N, 3], m.
-        snr: Y, [B, S, N], dB; nan where nothing was heard.
+        transmitters: positions of the senders, [S, 3], m.
+        receivers: positions of the sensors, [N, 3], m.
+        snr: Y, [B, S, N], dB; nan where nothing was received.
     """
 
     transmitters: Tensor
@@ -29,7 +29,7 @@ class Readings:
 
     @property
     def distance(self) -> Tensor:
-        """[S, N], m."""
+        """Distances of all links, [S, N], m."""
         return distances(self.transmitters, self.receivers)
 
     def select(self, rows: Tensor | slice) -> Readings:
@@ -41,9 +41,9 @@ def take_readings(env: Relay, vehicle: int = 0, world: int = 0) -> Readings:
     """Readings from the start of a mission, by the sensors that answered: one data set, [1, 3, N_i].
 
     Args:
-        env: holds the sensors and the random numbers.
-        vehicle: who asks.
-        world: which one.
+        env: the environment.
+        vehicle: number of the vehicle whose message the sensors answer.
+        world: number of the world.
     """
     one = env.select(torch.tensor([world], device=env.streams.seed.device))
     start = one.scenario.start if one.scenario.start.ndim == 2 else one.scenario.start[0]
@@ -55,5 +55,5 @@ def take_readings(env: Relay, vehicle: int = 0, world: int = 0) -> Readings:
 
 
 def readings_of_each_vehicle(env: Relay) -> list[Readings]:
-    """Of all vehicles in the first world, before anything moves."""
+    """Readings of all vehicles in the first world, before the mission."""
     return [take_readings(env, vehicle) for vehicle in range(env.scenario.vehicles)]

@@ -1,11 +1,11 @@
-"""Whether a way leads from one point to another between the cylinders: exact, without a grid.
+"""Whether a free path exists between two points among cylinders: exact, without a grid.
 
-Discs cut p from q in the plane if and only if their union holds a closed curve that the segment pq crosses an odd
-number of times (Alexander duality, modulo 2). Two discs that overlap hold the segment between their centres, and any
-closed curve in the union deforms into a walk along such segments (nerve theorem). Left is a graph: discs are
-vertices, overlaps are edges, an edge is odd if its segment crosses pq, and p and q are separated if some cycle has an
-odd number of odd edges (S. Cabello, P. Giannopoulos, "The complexity of separating points in the plane", 2016).
-None has if and only if the vertices can be given parities whose difference along every edge is that of the edge
+Discs separate p from q in the plane if and only if their union contains a closed curve that the segment pq crosses an
+odd number of times (Alexander duality, modulo 2). Two overlapping discs contain the segment between their centres, and
+any closed curve in the union can be deformed into a walk along such segments (nerve theorem). This gives a graph: discs
+are vertices, overlaps are edges, an edge is odd if its segment crosses pq, and p and q are separated if some cycle has
+an odd number of odd edges (S. Cabello, P. Giannopoulos, "The complexity of separating points in the plane", 2016).
+No cycle has one if and only if the vertices can be given parities whose difference along every edge is that of the edge
 (F. Harary, "On the notion of balance of a signed graph", 1953).
 """
 
@@ -16,18 +16,18 @@ from torch import Tensor
 
 from uwirl.world.obstacles import Obstacles
 
-# Pairs of discs looked at together: 8 MB for each number about a pair.
+# Pairs of discs processed together: 8 MB for each number stored per pair.
 BLOCK = 1 << 20
 
 
 def separated(obstacles: Obstacles, inflation: float | Tensor, p: Tensor, q: Tensor) -> Tensor:
-    """Whether no path leads from p to q outside all present discs, open ones of radius rho_m + inflation.
+    """Whether there is no path from p to q outside all present discs, which are open with radius rho_m + inflation.
 
-    A point inside a disc has no path to anywhere, itself included. Drifting obstacles count where they are at time 0.
+    A point inside a disc is separated from every point, even itself. Drifting obstacles are used at time 0.
 
     Args:
         obstacles: fields [..., O(, 2)], broadcast against the points.
-        inflation: vehicle radius and margin, a number or [..., 1], m.
+        inflation: vehicle radius plus margin, a number or [..., 1], m.
         p: [..., 2], m.
         q: [..., 2], m.
 
@@ -60,7 +60,7 @@ def separated(obstacles: Obstacles, inflation: float | Tensor, p: Tensor, q: Ten
 
 
 def _rows(tensor: Tensor, lead: torch.Size, trailing: int) -> Tensor:
-    """Leading indices in one row, [n, ...], or [1, ...] of what is the same for all; the last `trailing` ones stay."""
+    """Flatten leading dimensions to [n, ...], or [1, ...] if the values are shared; keep the last `trailing` ones."""
     own = tensor.shape[-trailing:]
     if tensor.numel() == own.numel():
         return tensor.reshape(1, *own)
@@ -68,7 +68,7 @@ def _rows(tensor: Tensor, lead: torch.Size, trailing: int) -> Tensor:
 
 
 def _separated(centre: Tensor, radius: Tensor, present: Tensor, p: Tensor, q: Tensor) -> Tensor:
-    """[n], of discs [n, O(, 2)] and points [n, 1, 2]."""
+    """`separated` for discs [n, O(, 2)] and points [n, 1, 2], bool [n]."""
     from_p, from_q = centre - p, centre - q
     inside = [torch.linalg.vector_norm(offset, dim=-1) < radius for offset in (from_p, from_q)]
     edge = torch.linalg.vector_norm(centre[:, :, None] - centre[:, None], dim=-1) < radius[:, :, None] + radius[:, None]
@@ -84,16 +84,16 @@ def _cross(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _crosses(from_p: Tensor, from_q: Tensor) -> Tensor:
-    """Whether the segment between two centres crosses pq, [n, O, O], of the centres as seen from p and q, [n, O, 2]."""
-    # A centre on the line pq counts as left of it, for all its edges alike: as if it were moved by next to nothing.
+    """Whether the segment between two centres crosses pq, [n, O, O]; centres relative to p and to q, [n, O, 2]."""
+    # A centre on the line pq counts as left of it, for all its edges: as if it were moved by an infinitesimal amount.
     left = _cross(from_p - from_q, from_p) >= 0.0
-    # p and q on either side of the line through the centres. On it they are outside the discs, so the case is void.
+    # p and q are on different sides of the line through the centres. If one is on the segment, it is inside a disc.
     p_side, q_side = (_cross(offset[:, :, None], offset[:, None]) > 0.0 for offset in (from_p, from_q))
     return (left[:, :, None] ^ left[:, None]) & (p_side ^ q_side)
 
 
 def _walk_parity(edge: Tensor, odd: Tensor) -> Tensor:
-    """Parity of the odd edges on some walk to each disc from the first one of its cluster, [n, O], bool."""
+    """Parity of the number of odd edges on a walk to each disc from the first disc of its cluster, [n, O], bool."""
     count = edge.shape[-1]
     first = torch.arange(count, dtype=torch.int32, device=edge.device).expand(edge.shape[:-1])
     parity = torch.zeros(odd.shape[:-1], dtype=torch.bool, device=odd.device)

@@ -25,9 +25,8 @@ class Relay:
     Args:
         scenario: nodes, vehicles, sensors, time.
         vehicle: dynamics of every vehicle; a BlueROV2 if None.
-        channel: the true channel, which nothing in the water sees but through readings (`uwirl.world.truth`); the
-            paper's if None.
-        streams: the worlds' random numbers; their number is B. One world of seed 0 if None.
+        channel: the true channel; vehicles only get readings of it (`uwirl.world.truth`). The paper's if None.
+        streams: random numbers of B worlds; one world of seed 0 if None.
     """
 
     def __init__(
@@ -46,29 +45,29 @@ class Relay:
 
     @property
     def worlds(self) -> int:
-        """B."""
+        """Number of worlds B."""
         return len(self.streams.seed)
 
     @property
     def budget(self) -> LinkBudget:
-        """What is known of the links beforehand."""
+        """What is known about the links beforehand."""
         return self._truth.channel.budget
 
     def on(self, scenario: Scenario, streams: RandomStreams) -> Relay:
-        """The same water and vehicles in other worlds."""
+        """The same vehicles and channel with another scenario and other random numbers."""
         return Relay(scenario, self.vehicle, self._truth.channel, streams)
 
     def select(self, index: Tensor) -> Relay:
-        """The environment of some of the worlds, by their places [K] in the batch."""
+        """The environment of some worlds, by their indices [K] in the batch."""
         return self.on(self.scenario.worlds(index), self.streams.select(index))
 
     def start(self) -> WorldState:
-        """All worlds at the scenario's start, at rest."""
+        """The state of all worlds at the scenario's start, at rest."""
         start = self.scenario.start
         return WorldState.of(VehicleState.from_eta_nu(start.expand(self.worlds, *start.shape[-2:])))
 
     def reset(self) -> tuple[WorldState, Observation]:
-        """All worlds at the scenario's start, at rest, and what the vehicles perceive there."""
+        """The state at the scenario's start, at rest, and the vehicles' observation there."""
         state = self.start()
         return state, self.observe(state)
 
@@ -76,12 +75,12 @@ class Relay:
         """One step of scenario.dt.
 
         Args:
-            state: of B worlds, which stays as it is; B may differ from the environment's if that is one world.
+            state: of B worlds, not modified; B is arbitrary if the environment has one world.
             tau: [B, M, 4], saturated here and held over the step.
-            target: [B, M, 3], m: where the vehicles say that they mean to go; None if they say nothing new.
+            target: targets that the vehicles announce, [B, M, 3], m; None keeps those announced before.
 
         Raises:
-            ValueError: tau or target is no floating-point tensor of that shape, or the state is of other worlds.
+            ValueError: tau or target is not a floating-point tensor of that shape, or the state has another B.
         """
         self._check_worlds(state)
         check_shape("tau", tau, state.vehicles.eta.shape)
@@ -91,12 +90,12 @@ class Relay:
         return after, self.observe(after)
 
     def observe(self, state: WorldState) -> Observation:
-        """What the vehicles perceive at a state; a pure function of it."""
+        """The vehicles' observation at a state; a pure function of the state."""
         scenario = self.scenario
         x, step = state.components, state.step
         time = step.double() * scenario.dt
         eta, nu = x[:4].movedim(0, -1), x[4:].movedim(0, -1)
-        # 1 and -1 at the ends alone: a vehicle's depth is confined to them.
+        # `step` limits z to [-depth, 0]; truncated to an integer, this is 1 or -1 only at the ends of that range.
         middle = 0.5 * scenario.depth
         contact = x[2].add(middle).div_(middle).to(torch.int8)
         if not scenario.navigation.is_exact:
@@ -108,18 +107,18 @@ class Relay:
     def rollout(
         self, agent: Agent, state: WorldState | None = None, steps: int | None = None, carry: Any = None
     ) -> Trajectory:
-        """Let an agent fly: the loop over `step`, writing into one trajectory.
+        """Fly an agent: call `step` in a loop and write one trajectory.
 
         Args:
-            agent: decides on every step's tau.
-            state: where to start, all worlds at the same step; the scenario's start if None. Its batch may differ from
-                the environment's if that is one world.
-            steps: number of integration steps; a mission's if None.
-            carry: of a flight that goes on; None begins one.
+            agent: chooses tau at every step.
+            state: initial state, all worlds at the same step; the scenario's start if None. Its number of worlds is
+                arbitrary if the environment has one world.
+            steps: number of integration steps; those of a mission if None.
+            carry: the agent's memory, to continue a flight; None begins one.
 
         Raises:
-            ValueError: the agent returned no pair of tau [B, M, 4] and a carry, or says a target of another shape; or
-                the state's worlds are at different steps, or not the environment's.
+            ValueError: the agent did not return a pair of tau [B, M, 4] and a carry, or announces a target of another
+                shape; or the state's worlds are at different steps, or do not fit the environment.
             DivergedError: a state or control stopped being finite; the message names the step and the quantity.
         """
         state = self.start() if state is None else state
@@ -157,17 +156,17 @@ class Relay:
         scenario = self.scenario
         water = None if self._water is None else self._water(state.step.double() * scenario.dt).to(out.dtype)
         self.vehicle.step(state.vehicles, command, scenario.dt, water, out=out)
-        # Surface and floor stop a vehicle's centre.
+        # The surface and the floor stop a vehicle's centre.
         z, w = out[2], out[6]
         inside = z.clamp(-scenario.depth, 0.0)
         w.masked_fill_(w * z.sub(inside) > 0.0, 0.0)
         z.copy_(inside)
 
     def _detected(self, x: Tensor, time: Tensor) -> Obstacles:
-        """Obstacles that each vehicle detects where it is, fields [B, M, O(, 2)]."""
+        """Obstacles that each vehicle detects at its position, fields [B, M, O(, 2)]."""
         scenario, (B, M) = self.scenario, x.shape[1:]
         everywhere = scenario.obstacles
-        # A view that stays the same from step to step is made once.
+        # This view is the same at every step, so it is made only once.
         if self._map is None or self._map[0] is not everywhere or self._map[1].radius.shape[:2] != (B, M):
             self._map = everywhere, _for_each_vehicle(everywhere, B, M)
         known = self._map[1]
@@ -195,7 +194,7 @@ class Relay:
 
 
 def _said(target: Tensor | None, before: Tensor) -> Tensor:
-    """Where vehicles say they mean to go, [B, M, 3], which is what they said before if they say nothing new."""
+    """Announced targets [B, M, 3]: the new ones, or those announced before if there are none."""
     if target is None:
         return before
     check_shape("target", target, before.shape)
@@ -214,10 +213,10 @@ def _for_each_vehicle(everywhere: Obstacles, worlds: int, vehicles: int) -> Obst
 
 
 def _nothing_heard(like: Tensor) -> Tensor:
-    """[B, M, 3, 0], for values [B, M, k]."""
+    """Empty readings [B, M, 3, 0], with dtype and device of values [B, M, k]."""
     return like.new_empty((*like.shape[:2], 3, 0), dtype=torch.float64)
 
 
 def _like(mask: Tensor, field: Tensor) -> Tensor:
-    """A mask [B, M, O] to select in a field [B, M, O(, 2)]."""
+    """A mask [B, M, O], expanded to select in a field [B, M, O(, 2)]."""
     return mask if field.ndim == mask.ndim else mask[..., None]

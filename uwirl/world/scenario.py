@@ -1,4 +1,4 @@
-"""Who is where: nodes, vehicles and sensors of one relay problem."""
+"""A relay problem: positions of nodes, vehicles, sensors and obstacles."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from uwirl.world.random import RandomStreams, Stream
 
 @dataclass(frozen=True)
 class Scenario:
-    """One relay problem. Worlds of a batch share it, but for starts, obstacles and current, which may differ.
+    """One relay problem. Worlds of a batch share it; only starts, obstacles and current may differ.
 
     Attributes:
         source: [3], m.
         destination: [3], m.
         start: eta of each vehicle in chain order from the source, [M, 4] or [B, M, 4].
         sensors: [N, 3], m.
-        obstacles: as named.
-        current: of the ocean.
-        depth: of the water, m: a vehicle's centre stays in -depth <= z <= 0.
-        hearing_range: distance from which a message is still heard, m.
+        obstacles: vertical cylinders.
+        current: ocean current.
+        depth: water depth, m: a vehicle's centre stays in -depth <= z <= 0.
+        hearing_range: largest distance at which a message is received, m.
         detection_range: horizontal distance from hull to hull at which a vehicle detects an obstacle, m (Definition 1);
-            infinite where the map is known.
+            infinite if all obstacles are known.
         vehicle_radius: m.
         dt: integration step, s.
-        message_period: time between messages, s: fading in flight is read when one is sent.
+        message_period: time between messages, s; fading in flight is evaluated when a message is sent.
         duration: length of a mission, s.
-        navigation: how well vehicles know where they are; exactly by default.
-        streaming: whether vehicles go on to read their links' SNR in flight, with every message.
+        navigation: navigation errors of the vehicles; none by default.
+        streaming: whether sensors answer every message in flight with SNR readings.
     """
 
     source: Tensor
@@ -65,13 +65,13 @@ class Scenario:
         seed: int = 0,
         **others: Any,
     ) -> Scenario:
-        """From plain numbers.
+        """A scenario from plain numbers.
 
         Args:
             source, destination: x, y, z of the nodes, m.
             starts: x, y, z (m) and psi (rad) of each vehicle.
-            sensors: how many, spread by the seed.
-            seed: of that spread.
+            sensors: number of sensors, at random positions.
+            seed: for these positions.
             others: any other attribute.
         """
         first, last = (torch.tensor(list(place), dtype=torch.float64) for place in (source, destination))
@@ -80,7 +80,7 @@ class Scenario:
 
     @property
     def vehicles(self) -> int:
-        """M."""
+        """Number of vehicles M."""
         return self.start.shape[-2]
 
     def clearance(self, position: Tensor, time: Tensor | float = 0.0) -> Tensor:
@@ -103,9 +103,9 @@ class Scenario:
 def spread_sensors(
     count: int, seed: int, source: Sequence[float], destination: Sequence[float], dtype: torch.dtype
 ) -> Tensor:
-    """Sensors spread uniformly, by the seed, over the box of source and destination.
+    """Uniformly distributed sensors, as a function of the seed, in the box around source and destination.
 
-    The box is widened by a quarter of their distance, and by 4 m up and down.
+    The box is larger by a quarter of their distance horizontally, and by 4 m up and down.
 
     Returns:
         [count, 3], m.

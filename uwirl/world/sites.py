@@ -1,12 +1,12 @@
 """How the cylinders of random layouts are placed.
 
-kind         cylinders, placed by the first vehicle's way from its start to its target
-sparse       0-3, most of them near the way
-random       3-6, likewise
-overlapping  one or two clusters of 2-3 that overlap, near the way
-dead_end     6 in a U of 150-240 degrees across the way, open towards the start
+kind         cylinders, placed relative to the line from the first vehicle's start to its target
+sparse       0-3, most of them near the line
+random       3-6, most of them near the line
+overlapping  one or two clusters of 2-3 that overlap, near the line
+dead_end     6 in a U of 150-240 degrees across the line, open towards the start
 ring         24 around the start or the target, closed or with one gap of 1-3 m
-moving       1-4 that drift at 0.2-0.5 m/s, timed to cross the way
+moving       1-4 that drift at 0.2-0.5 m/s, timed to cross the line in front of the vehicle
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from uwirl.world.obstacles import Obstacles
 NUMBERS = 37
 DEPTH_M = (-16.0, -0.5)
 HEADING_RAD = (-2.0, 2.0)
-# At which drifting cylinders expect the vehicle to come along its way, m/s.
+# Assumed speed of the vehicle along its line, for timing drifting cylinders, m/s.
 EXPECTED_SPEED = 1.2
 
 
 class Site:
-    """One attempt at n worlds: their random numbers, handed out in order, and the first vehicle's way.
+    """One attempt at n worlds: their random numbers, used in order, and the first vehicle's line to its target.
 
     Attributes:
         start: eta of all vehicles, [n, M, 4].
-        origin: where the way begins, [n, 2], m.
-        target: where it ends, [2], m.
+        origin: start of the line, [n, 2], m.
+        target: end of the line, [2], m.
     """
 
     def __init__(self, numbers: Tensor, targets: Tensor, half_width_m: float):
@@ -63,7 +63,7 @@ class Site:
         return self.middle + self.draw(-self.half_width, self.half_width, count, 2)
 
     def near_way(self, low: float, high: float, aside_m: float, count: int) -> Tensor:
-        """Points between two fractions of the way, up to so far to either side, [n, count, 2], m."""
+        """Points between two fractions of the line, at most `aside_m` to either side, [n, count, 2], m."""
         along = self.way / self.length
         left = torch.stack([-along[:, 1], along[:, 0]], -1)
         fraction, offset = self.draw(low, high, count, 1), self.draw(-aside_m, aside_m, count, 1)
@@ -73,7 +73,7 @@ class Site:
 def cylinders(
     centre: Tensor, radius: Tensor, present: Tensor | None = None, velocity: Tensor | None = None
 ) -> Obstacles:
-    """Of radius [n, k]; all present and at rest unless told. `draw_layouts` sets the influence in the end."""
+    """Cylinders of radius [n, k], present and at rest by default; `draw_layouts` sets the influence radii later."""
     present = torch.ones_like(radius, dtype=torch.bool) if present is None else present
     return Obstacles(centre, radius, radius, torch.zeros_like(centre) if velocity is None else velocity, present)
 

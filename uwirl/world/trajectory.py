@@ -1,4 +1,4 @@
-"""Where worlds stand, and what a flight through them leaves behind."""
+"""The state of worlds, and the record of a flight."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class DivergedError(RuntimeError):
 
 
 class WorldState(NamedTuple):
-    """Where B worlds of M vehicles stand; with their random streams all that follows is determined.
+    """State of B worlds of M vehicles; with their random streams it determines the future, given the controls.
 
     Attributes:
-        components: of the vehicles, [8, B, M]; see VehicleState.
-        step: how many steps each world has made, int64 [B].
-        target: where each vehicle has said that it means to go, [B, M, 3], m; nan until it has.
+        components: poses and velocities, [8, B, M]; see VehicleState.
+        step: number of steps made by each world, int64 [B].
+        target: target that each vehicle has announced, [B, M, 3], m; nan before it announces one.
     """
 
     components: Tensor
@@ -30,32 +30,32 @@ class WorldState(NamedTuple):
 
     @classmethod
     def of(cls, vehicles: VehicleState, step: int = 0) -> WorldState:
-        """Of vehicles [B, M] after so many steps, which have said nothing yet."""
+        """A state of vehicles [B, M] at this step, with no announced targets."""
         x = vehicles.components
         silent = x.new_full((), torch.nan).expand(*x.shape[1:], 3)
         return cls(x, torch.full(x.shape[1:2], step, dtype=torch.int64, device=x.device), silent)
 
     @property
     def vehicles(self) -> VehicleState:
-        """[B, M]."""
+        """Poses and velocities [B, M]."""
         return VehicleState(self.components)
 
     def detached(self) -> WorldState:
-        """A copy that shares no memory with the flight that it ended."""
+        """A copy that shares no memory with the trajectory."""
         return self._replace(components=self.components.clone())
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What a rollout leaves behind.
+    """The record of a rollout.
 
     Attributes:
         components: states at the n + 1 step boundaries, [n + 1, 8, B, M].
         tau: control held over each step, [n, B, M, 4].
         dt: s.
-        first_step: step index, from the beginning of the flight, of the first state.
-        end: where the worlds stand then, a view; `end.detached()` does not hold the whole flight in memory.
-        carry: what the agent remembers then; with `end` it goes on as if never stopped.
+        first_step: step index of the first state, counted from the beginning of the flight.
+        end: last state, a view; `end.detached()` is a copy that does not keep the whole flight in memory.
+        carry: the agent's memory at the end; `end` and `carry` are enough to continue the flight exactly.
     """
 
     components: Tensor
@@ -91,7 +91,7 @@ class Trajectory:
         return (self.first_step + torch.arange(n, dtype=torch.float64, device=self.components.device)) * self.dt
 
     def check_finite(self) -> None:
-        """Raises DivergedError, which names the first step and quantity, unless all of it is finite."""
+        """Raise DivergedError, naming the first step and quantity, if any value is not finite."""
         for name in ("tau", "nu", "eta"):
             finite = torch.isfinite(getattr(self, name)).flatten(1).all(1)
             if not bool(finite.all()):

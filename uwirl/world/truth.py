@@ -1,7 +1,7 @@
-"""What nobody in the water knows: the channel as it is.
+"""The true channel, which vehicles do not know.
 
-Readings are simulated from it, the estimator `oracle` is told it, and missions are judged by it. Everyone else gets
-readings and a link budget; `truth_of` is the only way here, and tests/test_floors.py holds who may import it.
+It is used to simulate readings, by the estimator `oracle`, and to evaluate missions. All other modules get readings and
+a link budget. `truth_of` is the only access, and tests/test_floors.py checks which modules import it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from uwirl.world.random import RandomStreams
 
 
 class Truth:
-    """The channel of B worlds between two nodes.
+    """The true channel of B worlds between two nodes.
 
     Args:
         channel: path loss, noise and the statistics of fading.
@@ -34,7 +34,7 @@ class Truth:
 
     @cached_property
     def shadowing(self) -> ShadowingField:
-        """Of each world's links, from their ends [..., B, *, 3] in the order of the field."""
+        """Shadowing of each world's links: a function of their ends [..., B, *, 3] in the order of the field, in dB."""
         return Shadowing(float(self.channel.zeta_dB), float(self.channel.varphi_m)).realise(self.streams)
 
     def snr_dB(self, first: Tensor, second: Tensor) -> Tensor:
@@ -52,13 +52,13 @@ class Truth:
 
         Args:
             position: [..., M, 3], or [..., B, M, 3] where shadowed, m.
-            shadowed: whether of path loss and shadowing, or of path loss alone.
+            shadowed: whether to include shadowing, or path loss alone.
         """
         chain = self.chain(position)
         snr = self.channel.mean_snr_dB(torch.linalg.vector_norm(chain.diff(dim=-2), dim=-1))
         if not shadowed or float(self.channel.zeta_dB) == 0.0:
             return snr
-        # The field's ends stand in the order source < destination < vehicles.
+        # The field's ends are sorted: source < destination < vehicles.
         first, second = chain[..., :-1, :].clone(), chain[..., 1:, :].clone()
         first[..., -1, :], second[..., -1, :] = chain[..., -1, :], chain[..., -2, :]
         return snr + self.shadowing(first, second).to(snr.dtype)
@@ -68,17 +68,17 @@ class Truth:
 
         Args:
             position: [..., M, 3], or [..., B, M, 3] where shadowed, m.
-            shadowed: whether of path loss and shadowing, or of path loss alone, the mean capacity.
+            shadowed: whether to include shadowing; path loss alone gives the mean capacity.
         """
         return self.channel.capacity_kbps(self.link_snr_dB(position, shadowed))
 
 
 class _Water(Protocol):
-    """An environment, which is not imported here, since it holds a truth itself."""
+    """The environment `Relay`, which cannot be imported here because it imports this module."""
 
     _truth: Truth
 
 
 def truth_of(env: _Water) -> Truth:
-    """The channel behind an environment."""
+    """The true channel of an environment."""
     return env._truth

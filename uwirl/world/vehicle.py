@@ -6,8 +6,8 @@ tau = forces and yaw moment (N, N m).
     eta_dot = J(psi) nu
     M nu_dot + C(nu) nu + D(nu) nu + g = tau
 
-Underneath, a state is one contiguous tensor [8, ...], components first: each component is then a dense vector over
-all worlds, which eager PyTorch integrates about three times faster than [..., 8] at 100,000 worlds.
+A state is stored as one contiguous tensor [8, ...], components first. Each component is then a dense vector over all
+worlds, which eager PyTorch integrates about three times faster than [..., 8] at 100,000 worlds.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from uwirl.world.geometry import to_body
 
-# Vehicles integrated together when eager: large enough to hide the cost of a kernel call, small enough for the cache.
+# Vehicles integrated together in eager mode: enough to hide the cost of a kernel call, few enough for the cache.
 CHUNK = 32_768
 
 
@@ -37,7 +37,7 @@ class VehicleState:
 
     @classmethod
     def from_eta_nu(cls, eta: Tensor, nu: Tensor | None = None) -> VehicleState:
-        """From eta and nu, both [..., 4]; nu defaults to rest."""
+        """A state from eta and nu, both [..., 4]; at rest if nu is not given."""
         nu = torch.zeros_like(eta) if nu is None else nu
         return cls(torch.cat([eta, nu], -1).movedim(-1, 0).contiguous())
 
@@ -58,7 +58,7 @@ class VehicleState:
 
 
 class Moving(Protocol):
-    """Whatever has a pose and a velocity: a state of vehicles, or what they observe of themselves."""
+    """Anything with a pose and a velocity: a state of vehicles, or the navigation data in their observation."""
 
     @property
     def eta(self) -> Tensor:
@@ -77,7 +77,7 @@ class Moving(Protocol):
 
 
 class Dynamics(Protocol):
-    """What the relay environment asks of a vehicle."""
+    """The interface that the relay environment needs from a vehicle."""
 
     @property
     def tau_max(self) -> Tensor:
@@ -96,7 +96,7 @@ class Dynamics(Protocol):
     def step(
         self, state: VehicleState, tau: Tensor, dt: float, current: Tensor | None = None, out: Tensor | None = None
     ) -> VehicleState:
-        """The state after dt seconds of held tau [B, M, 4], in a current [B, 3]; written into `out` where given."""
+        """The state after dt seconds of held tau [B, M, 4], in a current [B, 3]; written into `out` if given."""
         ...
 
 
@@ -189,7 +189,7 @@ class Vehicle(nn.Module):
         return torch.diag_embed(self.linear_damping + self.quadratic_damping * nu.abs())
 
     def derivative(self, psi: Tensor, nu: Sequence[Tensor], force: Sequence[Tensor]) -> list[Tensor]:
-        """Right-hand side of (1), component by component; the position does not enter it.
+        """Right-hand side of (1), component by component; it does not depend on the position.
 
         Working on single components rather than on [8, ...] lets a compiler fuse a whole step into one pass over
         memory, at no cost to eager execution (benchmarks/world.py).
@@ -243,7 +243,7 @@ class Vehicle(nn.Module):
         )
 
     def drift(self, x: Tensor, tau: Tensor, dt: float, current: Tensor) -> Tensor:
-        """One Runge-Kutta step in water that moves; nu is the velocity over ground, forces act on that through water.
+        """One Runge-Kutta step in a current; nu is the velocity over ground, drag depends on that through water.
 
         With a current that is irrotational and held over the step, (1) holds for the velocity relative to the water
         (Fossen, "Handbook of Marine Craft Hydrodynamics and Motion Control", 2nd ed., section 10.3).
@@ -288,7 +288,7 @@ class Vehicle(nn.Module):
         if chunks == 1:
             return VehicleState(self.rk4(x, tau, dt, out))
         out = x.new_empty(x.shape) if out is None else out
-        # A view, or an error: a silent copy of `out` would swallow what is written.
+        # `view` fails instead of copying: results written into a silent copy of `out` would be lost.
         flat = x.flatten(1), tau.flatten(1), out.view(8, -1)
         parts = (t.tensor_split(chunks, 1) for t in flat)
         for part_x, part_tau, part_out in zip(*parts, strict=True):
