@@ -2,8 +2,8 @@
 
     vehicle_x_m, vehicle_y_m, vehicle_z_m, sensor_x_m, sensor_y_m, sensor_z_m, snr_dB   [time_s, vehicle, sensor]
 
-in any order, one row per reading. A blank snr_dB means that nothing was received. Rows with the same vehicle position and
-time belong to the same message; without times, a repeated pair of ends is a further message from the same place.
+in any order, one row per reading. A blank snr_dB means that nothing was received. Rows with the same vehicle position
+and time belong to the same message; without times, a repeated pair of ends is a further message from the same place.
 """
 
 from __future__ import annotations
