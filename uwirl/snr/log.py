@@ -2,8 +2,8 @@
 
     vehicle_x_m, vehicle_y_m, vehicle_z_m, sensor_x_m, sensor_y_m, sensor_z_m, snr_dB   [time_s, vehicle, sensor]
 
-in any order, one row per reading. A blank snr_dB means that nothing was received. Rows with the same vehicle position and
-time belong to the same message; without times, a repeated pair of ends is a further message from the same place.
+in any order, one row per reading. A blank snr_dB means that nothing was received. Rows with the same vehicle position
+and time belong to the same message; without times, a repeated pair of ends is a further message from the same place.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def read_log(path: Path) -> Log:
     sensors = _sensors(path, rows)
     if not any(math.isfinite(row.snr) for row in rows):
         raise LogError(path, "holds no reading: every snr_dB is blank" if rows else "holds no rows below its header")
-    # Keys (time, place) are unique, so they alone give the order.
+    # There is only one message from a place at a time, so a key identifies a message.
     keys = list(dict.fromkeys(messages))
     if rows[0].time is not None:
         keys.sort(key=lambda key: key[1])
