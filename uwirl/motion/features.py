@@ -141,16 +141,16 @@ class LinkFrameBasis(LinkFrameFeatures):
         return torch.tensor([*surge, *sway, *heave, *yaw], dtype=torch.float64)
 
     def bounds(self, inertia_lower: Sequence[float], dt: float) -> Bounds:
-        # Per scale (own axis, other planar axis). Without a minimum pull on the own axis, vehicles that start far away are
-        # very slow with some fits.
+        # Per scale (own axis, other planar axis). Without a minimum pull on the own axis, vehicles that start far away
+        # are very slow with some fits.
         weakest = [(-3.0, -3.0) if self._nearest(L) else (-0.3, 0.0) for L in self.scales]
         along, across = [w for pair in weakest for w in pair], [w for own, other in weakest for w in (other, own)]
         surge, sway, heave = (-inertia / (2.0 * dt) for inertia in inertia_lower[:3])
         yaw = -inertia_lower[3] / dt
         stiffest = [-400.0] * len(along)
         lower = [*stiffest, surge, *stiffest, sway, -100.0, *stiffest[::2], heave, -40.0, yaw, -20.0]
-        # A heading hold: at speed, the Munk moment (m_v - m_u) u v turns a vehicle sideways unless sway is damped and yaw is
-        # stiff. The yaw term of the cost is too small to learn this from data. Without these bounds J is 12 % higher.
+        # A heading hold: at speed, the Munk moment (m_v - m_u) u v turns a vehicle sideways unless sway is damped and
+        # yaw is stiff. The yaw term of the cost is too small to learn this; without these bounds J is 12 % higher.
         upper = [*along, -2.0, *across, -2.0, -50.0, *along[::2], -2.0, -8.0, -3.0, 20.0]
         return Bounds(torch.tensor(lower, dtype=torch.float64), torch.tensor(upper, dtype=torch.float64))
 

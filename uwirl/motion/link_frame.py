@@ -33,7 +33,7 @@ class LinkFrame(NamedTuple):
 
     @classmethod
     def seen_as(cls, eta: Tensor, pose: Tensor) -> LinkFrame:
-        """The frame in which a vehicle with pose `eta` [..., M, 4] has the relative pose (e_par, e_perp, e_z, psi~) [..., M, 4]."""
+        """The frame in which a vehicle at `eta` [..., M, 4] has the pose (e_par, e_perp, e_z, psi~) [..., M, 4]."""
         bearing = eta[..., 3] - pose[..., 3]
         return cls(eta[..., :3] - turned_to_inertial(pose[..., :3], bearing), bearing)
 

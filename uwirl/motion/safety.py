@@ -4,14 +4,14 @@ For a clearance d that changes at most as fast as the vehicle moves (true for an
 
     h = d - margin - m_bar |nu|^2 / (2 tau_b)
 
-can be kept nonnegative if m_bar is at least the vehicle's mass, tau_b at most its thrust, and h >= 0 at the start: full
-braking reduces kinetic energy as fast as clearance. Sampled at dt, the condition on tau is a ball for each obstacle,
+can be kept nonnegative if m_bar is at least the vehicle's mass, tau_b at most its thrust, and h >= 0 at first: full
+braking reduces kinetic energy as fast as clearance. Sampled at dt, the condition on tau is a ball per obstacle,
 
     beta |tau|^2 + (nu - tau_b beta n)' tau <= tau_b (n . nu + alpha h),   beta = dt / (2 m_lo)
 
 with n the unit vector from obstacle to vehicle in body axes and nu the velocity relative to the obstacle, both
 horizontal. Two vehicles share their condition, in three dimensions: with h = d - separation - m_bar (|nu_i|^2 +
-|nu_j|^2) / (2 tau_b), each satisfies the same ball with its own nu and half of alpha h. This needs only the position and
+|nu_j|^2) / (2 tau_b), each satisfies the same ball with its own nu and half of alpha h. This needs only position and
 speed of the other vehicle. Of the dynamics, only the bounds are used.
 """
 
