@@ -15,16 +15,16 @@ from uwirl.motion.mission import Mission
 from uwirl.world.geometry import rotation_matrix
 from uwirl.world.vehicle import Vehicle
 
-ROUNDING_M = 1e-3  # keeps a hop differentiable where the vehicle is on top of a node
-ROUNDING_MPS = 1e-2  # rounds |nu| in the quadratic damping, whose second derivative jumps at rest
-PARTS = 4  # of an interval: vehicles keep apart at the end of each
+ROUNDING_M = 1e-3  # keeps the length of a link differentiable at zero
+ROUNDING_MPS = 1e-2  # smooths |nu| in the quadratic damping, whose second derivative is discontinuous at rest
+PARTS = 4  # parts of an interval: vehicles keep their separation at the end of each
 
 
 class Collocation:
     """The nonlinear programme of one world.
 
     Unknowns: x = [eta, nu], u = tau / tau_max and s, the cost of the worse link. As matrices they are [8 M, N + 1],
-    [4 M, N + 1] and [M, N + 1]: a column for each node, in it the components, each for all vehicles.
+    [4 M, N + 1] and [M, N + 1]. Each node is a column; a column has one block of M vehicles for each component.
     """
 
     def __init__(self, ca: Any, mission: Mission, N: int, world: int, separation_m: float):
@@ -54,11 +54,11 @@ class Collocation:
         self.bounds = {"lbx": low.numpy(), "ubx": high.numpy(), "lbg": 0.0, "ubg": upper}
 
     def _always(self, values: Tensor) -> Any:
-        """A number for each vehicle [M], repeated for each node."""
+        """One number for each vehicle [M], repeated for each node."""
         return self.ca.repmat(self.ca.DM(values.tolist()), 1, self.N + 1)
 
     def _axes(self) -> list[tuple[list[Any], float, float]]:
-        """Of each obstacle: horizontal offset from its axis, radius, influence radius."""
+        """For each obstacle: horizontal offset from its axis, radius, influence radius."""
         obstacles = self.scenario.obstacles
         present = of_world(obstacles.present, 1, self.world).bool()
         fields = (obstacles.centre, 2), (obstacles.velocity, 2), (obstacles.radius, 1), (obstacles.influence, 1)
@@ -70,7 +70,7 @@ class Collocation:
         ]
 
     def _derivative(self) -> list[Any]:
-        """f; in torch it is Vehicle.derivative."""
+        """Right-hand side f of the dynamics, as Vehicle.derivative in torch."""
         ca, vehicle, (psi, u, v, w, r) = self.ca, self.vehicle, self.x[3:]
         inertia, linear, quadratic = (
             values.tolist() for values in (vehicle.inertia, vehicle.linear_damping, vehicle.quadratic_damping)
@@ -96,11 +96,11 @@ class Collocation:
         return cost.weights.beta_1 / capacity**2 - self._always(of_world(cost.minimum, 1, self.world))
 
     def _running(self, bearing: Tensor) -> Any:
-        """Integrand of each vehicle's J, but for its links."""
+        """Integrand of each vehicle's J, without the link cost."""
         ca, cost = self.ca, self.cost
         q = cost.weights.yaw_weight * (1.0 - ca.cos(self.x[3] - self._always(bearing)))
         for offset, radius, influence in self.axes:
-            # Inside the cylinder, where no plan may be but a guess may, 1/l would explode.
+            # Inside the cylinder, where a guess may be but no plan, 1/l would become too large.
             l = ca.sqrt(ca.fmax(sum(x**2 for x in offset), radius**2))
             q += cost.weights.beta_2 * _avoidance(ca, cost.weights.avoidance, l, influence)
         for R, tau, trim in zip(cost.R.tolist(), self.tau, self.vehicle.trim.tolist(), strict=True):
@@ -108,10 +108,10 @@ class Collocation:
         return q
 
     def _gaps(self, separation_m: float) -> list[Any]:
-        """What between bodies must not be negative: (l / least distance)^2 - 1."""
+        """Constraints between bodies, which must be nonnegative: (l / least distance)^2 - 1."""
         reach = self.scenario.vehicle_radius
         gaps = [sum(x**2 for x in offset) / (radius + reach) ** 2 - 1.0 for offset, radius, _ in self.axes]
-        # At the nodes alone, two vehicles that meet would jump over each other.
+        # With constraints at the nodes only, two vehicles could jump over each other.
         for (i, j), k in product(combinations(range(self.M), 2), range(1, PARTS + 1)):
             apart = (p[i, :] - p[j, :] for p in self.x[:3])
             between = (d[:, :-1] + k / PARTS * (d[:, 1:] - d[:, :-1]) for d in apart)
@@ -145,7 +145,7 @@ class Collocation:
 
 
 def _avoidance(ca: Any, avoidance: Avoidance, l: Any, influence: float) -> Any:
-    """E_O of one obstacle; in torch it is the avoidance itself."""
+    """E_O of one obstacle, as the avoidance term in torch."""
     bracket = 1.0 / l - 1.0 / influence
     if isinstance(avoidance, Printed):
         return ca.exp(-0.5 * (l / avoidance.nu) ** (2.0 * avoidance.c)) * bracket**2

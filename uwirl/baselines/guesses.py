@@ -1,4 +1,4 @@
-"""Where trajectory optimisation starts from: flights along a way, or flown before."""
+"""Initial guesses for trajectory optimisation: flights along a path, or missions flown before."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from uwirl.world.relay import Relay
 from uwirl.world.trajectory import Trajectory
 from uwirl.world.vehicle import Vehicle
 
-CORNER_S = 2.5  # over which a guess rounds the corners of its path
+CORNER_S = 2.5  # length over which a guess rounds the corners of its path
 
 
 class Guess(NamedTuple):
-    """Where the solver starts from: eta, nu and tau at the nodes, [N + 1, M, 4] each."""
+    """Start values of the solver: eta, nu and tau at the nodes, [N + 1, M, 4] each."""
 
     name: str
     eta: Tensor
@@ -44,13 +44,13 @@ def guess_along(
 
     Args:
         env: start, duration and vehicle.
-        targets: the depths to end at.
+        targets: target positions; their depths are used.
         paths: a polyline [K, 2] for each vehicle, m.
         speed: m/s.
-        intervals: N.
-        turn: turn bow or stern, whichever is nearer, into the way; otherwise keep the first heading.
-        world: of a batch.
-        name: of the guess.
+        intervals: number of intervals N.
+        turn: whether to turn bow or stern, whichever is nearer, along the path; otherwise keep the first heading.
+        world: number of the world in the batch.
+        name: name of the guess.
     """
     start = of_world(env.scenario.start, 2, world)
     depth = of_world(targets.frame.target, 2, world)[:, 2]
@@ -66,7 +66,7 @@ def guess_along(
 
 
 def _fly(path: Tensor, start: Tensor, depth: Tensor, travelled: Tensor, corner: float, turn: bool) -> Tensor:
-    """eta [N + 1, 4] of a vehicle that has come so far [N + 1] along its path [K, 2]; corner in nodes."""
+    """eta [N + 1, 4] of a vehicle at distances [N + 1] along its path [K, 2]; `corner` is in nodes."""
     legs = path.diff(dim=0)
     arc = torch.nn.functional.pad(torch.linalg.vector_norm(legs, dim=-1).cumsum(0), (1, 0))
     z = torch.lerp(start[2], depth, (travelled / arc[-1].clamp_min(1e-9)).clamp_max(1.0))
@@ -90,7 +90,7 @@ def guess_from(trajectory: Trajectory, world: int = 0, intervals: int = 200, nam
 
 
 def guesses_on_the_map(mission: Mission, speeds: Sequence[float], intervals: int, world: int = 0) -> list[Guess]:
-    """Flights along the eikonal map at several speeds, m/s, bow or stern ahead and with the first heading kept."""
+    """Flights along the eikonal map at several speeds in m/s, with bow or stern ahead or with constant heading."""
     one = mission.env.select(torch.tensor([world], device=mission.env.streams.seed.device))
     router = Router(one.scenario, mission.targets.frame, mission.cost, 0.0, MapSettings(spacing_m=0.5))
     state, observation = one.reset()
@@ -106,14 +106,14 @@ def guesses_on_the_map(mission: Mission, speeds: Sequence[float], intervals: int
 
 
 def of_world(values: Tensor, dims: int, world: int) -> Tensor:
-    """The values of one world, [...] with `dims` dimensions, of those of all or of each [B, ...]; float64."""
+    """The values of one world, `dims`-dimensional, from values for each world [B, ...] or shared ones; float64."""
     while values.ndim > dims:
         values = values[world if len(values) > 1 else 0]
     return values.double()
 
 
 def interpolate(at: Tensor, knots: Tensor, values: Tensor) -> Tensor:
-    """Values [K, ...] at rising knots [K], linear between them and held beyond; [n, ...] at [n]."""
+    """Linear interpolation of values [K, ...] at increasing knots [K], constant beyond them; [n, ...] at points [n]."""
     right = torch.searchsorted(knots, at).clamp(1, len(knots) - 1)
     share = ((at - knots[right - 1]) / (knots[right] - knots[right - 1]).clamp_min(1e-12)).clamp(0.0, 1.0)
     return torch.lerp(values[right - 1], values[right], share.view(-1, *[1] * (values.ndim - 1)))

@@ -1,4 +1,4 @@
-"""Proportional-derivative control towards the target: the baseline that anybody would try first."""
+"""Proportional-derivative control towards the target: the simplest baseline."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class PdPlanner:
     """tau = tau_trim - K_p sat(e) - K_d nu, with each error component saturating smoothly.
 
     Attributes:
-        cost: weights of the running cost, by which the calibration hover judges the gains.
-        guard: between agent and thrusters during the hover.
-        guidance: the way to the target.
+        cost: weights of the running cost, used by the calibration hover to check the gains.
+        guard: guard between agent and thrusters during the hover.
+        guidance: guidance to the target.
         position_gain: surge, sway, heave in N/m, yaw in N m.
         velocity_gain: surge, sway, heave in N s/m, yaw in N m s/rad.
         saturation_m: L of e / sqrt(1 + e^2/L^2).
@@ -42,7 +42,7 @@ class PdPlanner:
     calibration_s: float
 
     def fit(self, env: Relay, estimate: ChannelEstimate) -> Agent:
-        """Hover, to measure the trim."""
+        """Hover to measure the trim, and return the agent."""
         mission = Mission(env, estimate.channel, self.cost)
         (pu, pv, pw, pr), (du, dv, dw, dr) = self.position_gain, self.velocity_gain
         gains = torch.tensor([[pu, pu, du, pv, pv, dv, 0.0, pw, dw, pr, dr, 0.0]], dtype=torch.float64)

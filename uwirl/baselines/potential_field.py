@@ -1,9 +1,9 @@
-"""Artificial potential field: drawn to the target, pushed off obstacles; known to stop in dead ends.
+"""Artificial potential field: attraction to the target, repulsion by obstacles; it stops in dead ends.
 
     F = -grad (U_att + U_rep) - K_d nu,   U_rep = eta / 2 sum max(0, 1/d - 1/d_0)^2
 
 with d the clearance (O. Khatib, "Real-time obstacle avoidance for manipulators and mobile robots", International
-Journal of Robotics Research 5(1), 1986), on top of the proportional-derivative baseline as the attraction.
+Journal of Robotics Research 5(1), 1986). The attraction is the proportional-derivative baseline.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class PotentialField(PdPlanner):
     reach_m: float
 
     def fit(self, env: Relay, estimate: ChannelEstimate) -> Agent:
-        """The PD agent, pushed off obstacles."""
-        # A field leads by itself.
+        """The PD agent with repulsion by obstacles."""
+        # A potential field needs no route.
         attracted = replace(self, guidance=Straight())
         agent = PdPlanner.fit(attracted, env, estimate)
         return Repelled(agent, self.repulsion, self.reach_m, env.scenario.vehicle_radius)
@@ -45,10 +45,10 @@ class PotentialField(PdPlanner):
 
 @dataclass(frozen=True)
 class Repelled:
-    """An agent that is pushed off obstacles.
+    """An agent with repulsion by obstacles.
 
     Attributes:
-        agent: which is.
+        agent: the agent without repulsion.
         repulsion: eta, N m^3.
         reach_m: d_0, m.
         vehicle_radius: m.
@@ -60,16 +60,16 @@ class Repelled:
     vehicle_radius: float
 
     def init(self, observation: Observation) -> Any:
-        """That of the agent."""
+        """The carry of the agent."""
         return self.agent.init(observation)
 
     def act(self, carry: Any, observation: Observation) -> tuple[Tensor, Any]:
-        """The agent's tau and the repulsion, [B, M, 4]."""
+        """The agent's tau plus the repulsion, [B, M, 4]."""
         tau, carry = self.agent.act(carry, observation)
         if observation.obstacles.number == 0:
             return tau, carry
         near = obstacle_neighbours(observation, self.vehicle_radius)
-        # Finite in contact, where a field has nothing to say any more.
+        # Kept finite at contact, where the field is not defined.
         d = near.clearance.clamp_min(0.05)
         size = self.repulsion * (1.0 / d - 1.0 / self.reach_m).clamp_min(0.0) / d.square()
         push = (size[..., None] * near.n).sum(-2)

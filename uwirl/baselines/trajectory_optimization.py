@@ -1,4 +1,4 @@
-"""Trajectory optimisation with a model: a reference for J, without a claim to be its lower bound.
+"""Trajectory optimisation with a model: a reference for J, not a strict lower bound.
 
 Direct collocation by the implicit trapezoid on N intervals of h seconds (Betts, Practical Methods for Optimal Control
 and Estimation Using Nonlinear Programming, 2010, ch. 4), solved by an interior-point method:
@@ -8,8 +8,8 @@ and Estimation Using Nonlinear Programming, 2010, ch. 4), solved by an interior-
                 s_ik >= beta_1/C^2 - beta_1/C_max^2 on both links,   l >= rho_m + r_v,   |p_i - p_j| >= separation
                 -depth <= z <= 0
 
-with w = 1/2, 1, ..., 1, 1/2. Neighbours are at their targets, so that vehicles meet in the separation alone, which
-holds between the nodes as well.
+with w = 1/2, 1, ..., 1, 1/2. Neighbours are at their targets, so that vehicles are coupled only by the separation,
+which is also required between the nodes.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from uwirl.world.relay import Relay
 
 IPOPT = {"print_level": 0, "sb": "yes", "mu_strategy": "adaptive", "tol": 1e-6, "acceptable_tol": 1e-4}
 FEASIBLE = 1e-4  # largest violation with which a plan counts as converged although the solver stopped early
-# Surge, sway, heave in N/m and N s/m, yaw in N m and N m s/rad. At full thrust the Munk moment (m_v - m_u) u v turns
-# the bow out of the way with up to 30 N m/rad, which yaw has to exceed.
+# Surge, sway, heave in N/m and N s/m, yaw in N m and N m s/rad. At full thrust, the Munk moment (m_v - m_u) u v turns
+# the bow away from the path with up to 30 N m/rad; the yaw gain must be larger.
 POSITION_GAIN = (40.0, 40.0, 40.0, 40.0)
 VELOCITY_GAIN = (40.0, 40.0, 40.0, 4.0)
 
 
 class Attempt(NamedTuple):
-    """What the solver made of a guess: J, and the largest violation of a constraint."""
+    """Result of the solver from one guess: J, and the largest violation of a constraint."""
 
     name: str
     converged: bool
@@ -51,14 +51,14 @@ class Attempt(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """The best of all attempts that converged; the least infeasible one where none did.
+    """The best of all converged attempts; the least infeasible one if none converged.
 
     Attributes:
         eta, nu, tau: at the nodes, [N + 1, M, 4], float64.
         cost: J by the trapezoid over the nodes.
         converged: False if no attempt did.
-        guess: name of the guess that led here.
-        attempts: one for each guess.
+        guess: name of the guess that gave this plan.
+        attempts: results from all guesses.
     """
 
     eta: Tensor
@@ -83,17 +83,17 @@ def optimise(
     Args:
         mission: start, obstacles, duration and the model of the vehicles; the model's water is still.
         guesses: at least one, on N + 1 nodes.
-        intervals: N.
-        world: of a batch.
-        separation_m: between the centres of any two vehicles, m.
-        max_iterations: of the solver, for each guess.
+        intervals: number of intervals N.
+        world: number of the world in the batch.
+        separation_m: least distance between the centres of any two vehicles, m.
+        max_iterations: largest number of solver iterations for each guess.
 
     Returns:
-        The plan, which says whether it converged: nothing is raised where it did not.
+        The plan; its attribute `converged` is False if no attempt converged (this raises no error).
 
     Raises:
         ImportError: CasADi is not installed.
-        ValueError: there is no guess, or one of another size, or the cost's avoidance term is unknown here.
+        ValueError: there is no guess, or one has another size, or the avoidance term of the cost is not supported.
     """
     if not guesses:
         raise ValueError("guesses: trajectory optimisation needs at least one")
@@ -121,12 +121,12 @@ def _casadi() -> Any:
 
 
 class PlanAgent:
-    """tau = tau*(t) - K_p e - K_d (nu - nu*(t)), e the pose error eta - eta*(t) in body axes; remembers nothing.
+    """tau = tau*(t) - K_p e - K_d (nu - nu*(t)), e the pose error eta - eta*(t) in body axes; no memory.
 
-    The plan is linear between its nodes; after its end its last pose is held.
+    The plan is interpolated linearly between its nodes; after its end, its last pose is held.
 
     Args:
-        env: the mission that the plan spans.
+        env: worlds of the planned mission.
         plan: eta*, nu*, tau*.
         position_gain, velocity_gain: diagonals of K_p and K_d, [4].
     """
@@ -146,11 +146,11 @@ class PlanAgent:
         self.position_gain, self.velocity_gain = like.new_tensor(position_gain), like.new_tensor(velocity_gain)
 
     def init(self, observation: Observation) -> tuple[()]:
-        """Nothing."""
+        """The empty carry."""
         return ()
 
     def act(self, carry: tuple[()], observation: Observation) -> tuple[Tensor, tuple[()]]:
-        """tau [B, M, 4]."""
+        """tau [B, M, 4] and the empty carry."""
         step = observation.step.clamp_max(len(self.eta) - 1)
         error = observation.eta - self.eta[step]
         error[..., 3] = wrapped(error[..., 3])
@@ -160,12 +160,12 @@ class PlanAgent:
 
 @dataclass(frozen=True)
 class TrajectoryOptimization:
-    """Plans once, with the model, and plays the plan; a batch flies what its first world was planned for.
+    """Plans once, with the model, and tracks the plan; all worlds of a batch fly the plan of the first world.
 
     Attributes:
         cost: weights of the running cost.
-        intervals: N.
-        speeds_mps: of the guesses along the map, m/s.
+        intervals: number of intervals N.
+        speeds_mps: speeds of the guesses along the map, m/s.
         position_gain, velocity_gain: see PlanAgent.
     """
 
@@ -181,5 +181,5 @@ class TrajectoryOptimization:
         return optimise(mission, guesses_on_the_map(mission, self.speeds_mps, self.intervals), self.intervals)
 
     def fit(self, env: Relay, estimate: ChannelEstimate) -> Agent:
-        """Plan, and play it."""
+        """Plan, and return the agent that tracks the plan."""
         return PlanAgent(env, self.plan(env, estimate), self.position_gain, self.velocity_gain)

@@ -1,4 +1,4 @@
-"""The relay task for other people's algorithms: Gymnasium and PettingZoo environments (extra `envs`).
+"""The relay task for other learning libraries: Gymnasium and PettingZoo environments (extra `envs`).
 
 gymnasium.make("uwirl.envs:uwirl/Relay-v0", overrides=["experiment=fig6_pair", "channel=acoustic_24khz"])
 gymnasium.make_vec("uwirl.envs:uwirl/Relay-v0", num_envs=1000, random_start=True)

@@ -1,4 +1,4 @@
-"""Episodes that follow one another in a batch of worlds, as arrays: what all faces of the task share."""
+"""Successive episodes in a batch of worlds, as arrays: the common part of all environment classes."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from uwirl.world.random import RandomStreams
 
 Floats = NDArray[np.floating]
 Flags = NDArray[np.bool_]
-# Seeds are drawn below this where none is given, so that the next ones are seeds too.
+# Seeds are drawn below this if none is given, so that the following ones are valid seeds, too.
 SEEDS = 2**31
 
 
 class Result(NamedTuple):
-    """What a step of control brought.
+    """Result of a control step.
 
     Attributes:
         reward: of each vehicle, [B, M], float64.
@@ -36,10 +36,10 @@ class Result(NamedTuple):
 
 
 def checked_action(action: Any, shape: tuple[int, ...]) -> Floats:
-    """An action, if it is one.
+    """Check an action.
 
     Raises:
-        ValueError: another type or shape, or a number that is not finite.
+        ValueError: it has another type or shape, or a number that is not finite.
     """
     wanted = f"the action must be a floating-point array of shape {shape} with entries from -1 to 1"
     if not isinstance(action, np.ndarray):
@@ -55,19 +55,18 @@ def checked_action(action: Any, shape: tuple[int, ...]) -> Floats:
 class Episodes:
     """One episode at a time in each of B worlds.
 
-    Every episode is a world of its own: number k after a seed draws what world k of that seed draws
-    (`uwirl.world.random`), in whatever batch.
+    Episode k after a seed uses the random numbers of world k of that seed (`uwirl.world.random`), whatever the batch.
 
     Args:
-        task: what is to be done.
-        worlds: B.
-        keeps_paths: whether to remember where vehicles have been, for pictures.
+        task: the task.
+        worlds: number of worlds B.
+        keeps_paths: whether to store the vehicles' paths, for pictures.
     """
 
     def __init__(self, task: RelayTask, worlds: int, keeps_paths: bool = False):
         self.task = task
         self.seed = np.zeros(worlds, dtype=np.int64)
-        # -1 before the first one.
+        # -1 before the first episode.
         self.number = np.full_like(self.seed, -1)
         self.over: Flags = np.ones(worlds, dtype=np.bool_)
         self._judge: Evaluator | None = None
@@ -77,15 +76,15 @@ class Episodes:
 
     @torch.no_grad()
     def begin(self, mask: Flags, random: np.random.Generator, seeds: Sequence[int | None] | None = None) -> None:
-        """The next episode in some of the worlds, or the first of a new seed.
+        """Begin the next episode in some worlds, or the first one of a new seed.
 
         Args:
-            mask: which, [B].
-            random: draws the seeds of those that have none.
-            seeds: of all worlds, of which the masked ones count; None goes on with the one that a world has.
+            mask: worlds in which to begin, [B].
+            random: draws seeds for worlds that have none.
+            seeds: seeds of all worlds; only masked ones are used. None keeps the present seeds.
 
         Raises:
-            ValueError: a seed is none.
+            ValueError: a seed is invalid.
         """
         given = [(row, seed) for row, seed in enumerate(seeds or ()) if mask[row] and seed is not None]
         for row, seed in given:
@@ -108,13 +107,13 @@ class Episodes:
 
     @torch.no_grad()
     def step(self, action: Floats) -> Result:
-        """One step of control in all worlds, also in those whose episode is over.
+        """Make one control step in all worlds, also in those whose episode is over.
 
         Args:
-            action: checked, [B, M, 4].
+            action: checked action, [B, M, 4].
         """
         judge, state = self._now()
-        # A copy, because what was given may be changed later, be read-only or run backwards.
+        # A copy, because the given array may be changed later, be read-only or have negative strides.
         share = torch.from_numpy(np.array(action, order="C")).to(state.stage)
         self._state, (reward, terminated, truncated) = self.task.step(judge, state, share)
         if self._paths is not None:
@@ -125,12 +124,12 @@ class Episodes:
 
     @torch.no_grad()
     def observation(self) -> NDArray[np.float32]:
-        """[B, M, F], a new array."""
+        """Observations [B, M, F], a new array."""
         return self.task.observe(*self._now()).numpy(force=True)
 
     @torch.no_grad()
     def infos(self) -> dict[str, NDArray[Any]]:
-        """About each vehicle [B, M], and of the chain [B]; new arrays."""
+        """Infos about each vehicle [B, M] and about the chain [B]; new arrays."""
         judge, state = self._now()
         capacity = judge.truth.link_capacities_kbps(state.world.vehicles.position).amin(-1)
         named = {
@@ -143,11 +142,11 @@ class Episodes:
         return {name: value.clone().numpy(force=True) for name, value in named.items()}
 
     def path(self, world: int) -> Floats:
-        """eta at every step of control of the episode now, [n + 1, M, 4].
+        """eta at every control step of the present episode, [n + 1, M, 4].
 
         Raises:
-            ResetNeeded: nothing has begun.
-            ValueError: paths are not kept.
+            ResetNeeded: no episode has begun.
+            ValueError: paths are not stored.
         """
         self._now()
         if self._paths is None:
@@ -155,7 +154,7 @@ class Episodes:
         return torch.stack([eta[world] for eta in self._paths[self._began[world] :]]).numpy(force=True)
 
     def time(self, world: int) -> float:
-        """Since the episode began, s."""
+        """Time since the beginning of the episode, s."""
         return float(self._now()[1].world.step[world]) * self.task.scenario.dt
 
     def _now(self) -> tuple[Evaluator, TaskState]:
@@ -165,7 +164,7 @@ class Episodes:
 
 
 def of_worlds(infos: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Infos about whole worlds, [B]: costs and contacts added up, the least clearance, if any is blocked."""
+    """Infos about worlds, [B]: sums of costs and contacts, smallest clearance, whether any vehicle is blocked."""
     return {
         "J": infos["J"].sum(1),
         "contacts": infos["contacts"].sum(1),

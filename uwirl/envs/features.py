@@ -1,4 +1,4 @@
-"""What a learner from elsewhere is told: an observation as numbers of order one."""
+"""Observations for learners of other libraries, as numbers of order one."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from uwirl.world.geometry import to_body, turned_to_body
 from uwirl.world.observation import Observation
 from uwirl.world.scenario import Scenario
 
-# Beyond this, entries are clipped.
+# Entries are clipped to this magnitude.
 LIMIT = 2.0
-# What 1 stands for: about as fast as a BlueROV2 goes, and a strong link.
+# Scales, the meaning of the value 1: about the top speed of a BlueROV2, and the SNR of a strong link.
 SPEED_MPS, YAW_RATE_RAD_S, SNR_DB = 2.0, 4.0, 20.0
-# Clearance at which an obstacle is as good as absent, m.
+# Obstacles at this clearance or more are treated as absent, m.
 FAR_M = 20.0
 
 POSE = ("e_par", "e_perp", "e_z", "sin_yaw", "cos_yaw", "u", "v", "w", "r")
@@ -28,14 +28,14 @@ NEIGHBOUR = ("x", "y", "z", "x_to_go", "y_to_go", "z_to_go", "heard")
 
 @dataclass(frozen=True)
 class Features:
-    """F numbers for each vehicle; `names` says which, docs/environments.md what they mean.
+    """F numbers for each vehicle, called `names`; docs/environments.md describes them.
 
-    Each is divided by a length, speed or level of the size that it commonly has and clipped at LIMIT.
+    Each is divided by a typical length, speed or level, and clipped at LIMIT.
 
     Attributes:
         scenario: nodes, depth, hearing range, vehicle radius.
-        frame: of each vehicle's target, M + 1 equal hops between the nodes, which every vehicle knows.
-        obstacles: how many of those detected are listed, nearest first.
+        frame: link frame of each vehicle's target (M + 1 equal hops between the nodes), which every vehicle knows.
+        obstacles: number of detected obstacles that are listed, nearest first.
     """
 
     scenario: Scenario
@@ -44,7 +44,7 @@ class Features:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the F entries."""
+        """Names of the F entries."""
         listed = (f"obstacle_{k + 1}_{name}" for k in range(self.obstacles) for name in OBSTACLE)
         sides = ("previous", "next") if self.scenario.vehicles > 1 else ()
         neighbours = (f"{side}_{name}" for side in sides for name in NEIGHBOUR)
@@ -56,20 +56,20 @@ class Features:
         return 0.5 * float(torch.linalg.vector_norm(self.scenario.destination - self.scenario.source))
 
     def __call__(self, observation: Observation, snr: Tensor) -> Tensor:
-        """[B, M, F], float32, a new tensor.
+        """Features [B, M, F], float32, a new tensor.
 
         Args:
-            observation: of B worlds.
-            snr: what each vehicle has read last from the side of the source and of the destination, [B, M, 2], dB; nan
-                where it has heard nothing.
+            observation: observation in B worlds.
+            snr: last SNR readings of each vehicle's links towards source and destination, [B, M, 2], dB; nan if it
+                received nothing.
         """
         links = torch.nan_to_num(snr / SNR_DB, nan=-LIMIT).unbind(-1)
         rows = [*self._pose(observation), *self._nearest(observation), *links, *self._neighbours(observation)]
-        # Entries first, and turned round in the end: written one beside the other they take four times as long.
+        # Entries on the first axis, moved to the last at the end: writing to the last axis takes four times as long.
         return torch.stack([row.float() for row in rows]).clamp_(-LIMIT, LIMIT).movedim(0, -1).contiguous()
 
     def _pose(self, observation: Observation) -> list[Tensor]:
-        # `frame.relative`, coordinate by coordinate for the same reason.
+        # As `frame.relative`, but coordinate by coordinate, for the same reason.
         (x, y, z, psi), (u, v, w, r) = observation.eta.unbind(-1), observation.nu.unbind(-1)
         target, bearing = self.frame
         along, across = to_body(x - target[:, 0], y - target[:, 1], bearing)
@@ -98,14 +98,14 @@ class Features:
         return listed + [nothing, nothing, nothing + 1.0] * max(0, self.obstacles - known.number)
 
     def _neighbours(self, observation: Observation) -> list[Tensor]:
-        """What the vehicles before and after each in the chain have told it; zeros where nobody has.
+        """Entries about the previous and the next vehicle in the chain; zeros if there is none within hearing range.
 
-        Nothing at all where there is one vehicle only.
+        Empty if there is only one vehicle.
         """
         M, place, target = observation.eta.shape[1], observation.messages.eta[..., :3], observation.messages.target
         if M == 1:
             return []
-        told: list[Tensor] = []
+        entries: list[Tensor] = []
         for side in (-1, 1):
             theirs, goal = _of_neighbour(place, side), _of_neighbour(target, side)
             offset = theirs - observation.position
@@ -114,14 +114,14 @@ class Features:
             heard = heard & (there >= 0) & (there < M)
             ways = [turned_to_body(way, observation.eta[..., 3]) / self.half_span for way in (offset, goal - theirs)]
             rows = [*ways[0].unbind(-1), *ways[1].unbind(-1), torch.ones_like(offset[..., 0])]
-            told += [torch.where(heard, row, 0.0) for row in rows]
-        return told
+            entries += [torch.where(heard, row, 0.0) for row in rows]
+        return entries
 
 
-def _of_neighbour(told: Tensor, side: int) -> Tensor:
-    """What each vehicle has been told by the one before (-1) or after it (1), [B, M, k], of told [B, M, M, k].
+def _of_neighbour(received: Tensor, side: int) -> Tensor:
+    """Values received from the previous (-1) or next (1) vehicle, [B, M, k], selected from [B, M, M, k].
 
-    Whoever stands at the end of the chain gets zeros.
+    Zeros for vehicles without this neighbour.
     """
-    values = told.diagonal(side, 1, 2).movedim(-1, 1)
+    values = received.diagonal(side, 1, 2).movedim(-1, 1)
     return torch.nn.functional.pad(values, (0, 0, 1, 0) if side < 0 else (0, 0, 0, 1))

@@ -1,4 +1,4 @@
-"""The task from a configuration, as a command line would give it."""
+"""Create the task from a configuration, given as on the command line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from uwirl.envs.task import RelayTask
 from uwirl.study.evaluation import Evaluator
 from uwirl.world.agent import Guard
 
-# The paper's mission without its shadowing of 0.07 dB: two readings of it cost as much as 80 steps of a vehicle.
+# The paper's mission without its shadowing of 0.07 dB: two shadowed readings take as long as 80 steps of a vehicle.
 NO_SHADOWING = ("channel.zeta_dB=0",)
 RENDER_MODES = ["rgb_array"]
 
@@ -24,9 +24,9 @@ def make_task(overrides: Sequence[str] = NO_SHADOWING, guard: str | Guard | None
     """The task of a configuration.
 
     Args:
-        overrides: as on uwirl's command line, `channel=acoustic_24khz`, `experiment=fig6_pair`.
-        guard: between actions and thrusters: an option of the group `safety`, a guard of one's own, or None.
-        options: of `RelayTask`.
+        overrides: overrides as on uwirl's command line, `channel=acoustic_24khz`, `experiment=fig6_pair`.
+        guard: guard between actions and thrusters: an option of the group `safety`, a custom guard, or None.
+        options: options of `RelayTask`.
 
     Raises:
         ConfigError: the configuration breaks a rule, or has random layouts.
@@ -42,10 +42,10 @@ def make_task(overrides: Sequence[str] = NO_SHADOWING, guard: str | Guard | None
 
 
 def chosen_task(task: RelayTask | None, options: dict[str, Any]) -> RelayTask:
-    """The task that a face was given, or the one that the options make.
+    """The given task, or one made from the options.
 
     Raises:
-        TypeError: both.
+        TypeError: both a task and options are given.
     """
     if task is not None and options:
         raise TypeError(f"a task is made already; {', '.join(options)} would have no effect")
@@ -61,6 +61,6 @@ def check_render_mode(mode: str | None) -> None:
 
 
 def spaces(task: RelayTask, vehicles: int) -> tuple[Box, Box]:
-    """What so many vehicles are told, and their action."""
+    """Observation and action space of this many vehicles."""
     entries = vehicles * len(task.features.names)
     return Box(-LIMIT, LIMIT, (entries,)), Box(-1.0, 1.0, (4 * vehicles,))

@@ -1,4 +1,4 @@
-"""One world as a PettingZoo environment, in which every vehicle is an agent."""
+"""One world as a PettingZoo environment with one agent per vehicle."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Array = NDArray[np.float32]
 class RelayParallelEnv(ParallelEnv[str, Array, Array]):
     """M vehicles, each with its own observation [F], action [4] and reward.
 
-    They are called vehicle_0 to vehicle_{M - 1}, in chain order from the source. An episode is over for all at once.
+    They are called vehicle_0 to vehicle_{M - 1}, in chain order from the source. An episode ends for all together.
 
     Args:
-        task: what is to be done; None makes it from the options.
+        task: the task; None creates it from the options.
         render_mode: None or "rgb_array".
-        options: of `uwirl.envs.making.make_task`.
+        options: options of `uwirl.envs.making.make_task`.
     """
 
     metadata = {"name": "uwirl_relay_v0", "render_modes": RENDER_MODES, "render_fps": 10, "is_parallelizable": True}  # noqa: RUF012
@@ -43,17 +43,17 @@ class RelayParallelEnv(ParallelEnv[str, Array, Array]):
         self._random = np.random.default_rng()
 
     def observation_space(self, agent: str) -> Box:
-        """Always the same object."""
+        """The space, always the same object."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> Box:
-        """Always the same object."""
+        """The space, always the same object."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
-        """The next episode, or the first one of a seed; options are ignored."""
+        """Begin the next episode, or the first one of a seed; options are ignored."""
         self._episodes.begin(np.array([True]), self._random, [seed])
         self.agents = list(self.possible_agents)
         return self._observations(), self._infos()
@@ -61,14 +61,14 @@ class RelayParallelEnv(ParallelEnv[str, Array, Array]):
     def step(
         self, actions: Mapping[str, Array]
     ) -> tuple[dict[str, Array], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """One step of control.
+        """Make one control step.
 
         Args:
-            actions: tau / tau_max of every vehicle, [4] each; what lies beyond 1 counts as 1.
+            actions: tau / tau_max of every vehicle, [4] each; values are clipped to [-1, 1].
 
         Raises:
-            ValueError: a vehicle has no action, a name is none of theirs, or an action has another type or shape, or
-                is not finite.
+            ValueError: a vehicle has no action, a name is unknown, or an action has another type or shape, or is not
+                finite.
             ResetNeeded: no episode has begun, or it is over.
         """
         if self._episodes.over[0]:
@@ -86,7 +86,7 @@ class RelayParallelEnv(ParallelEnv[str, Array, Array]):
         return self._observations(), rewards, terminations, truncations, self._infos()
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The world from above, [height, width, 3]; None without a render mode."""
+        """A picture of the world from above, [height, width, 3]; None without a render mode."""
         if self.render_mode is None:
             return None
         from uwirl.envs.picture import from_above
@@ -94,16 +94,16 @@ class RelayParallelEnv(ParallelEnv[str, Array, Array]):
         return from_above(self.task.scenario, self._episodes.path(0), self._episodes.time(0))
 
     def state(self) -> Array:
-        """All vehicles' observations one after the other, [M F]."""
+        """The observations of all vehicles in chain order, [M F]."""
         return self._episodes.observation().reshape(-1)
 
     def _observations(self) -> dict[str, Array]:
-        # Copies, so that one vehicle's array is no view of all.
+        # Copies, so that one vehicle's array is not a view of all.
         rows = self._episodes.observation()[0]
         return {agent: row.copy() for agent, row in zip(self.possible_agents, rows, strict=True)}
 
     def _infos(self) -> dict[str, dict[str, Any]]:
-        """Each vehicle's own, and the chain's capacity."""
+        """Infos of each vehicle, with the chain's capacity."""
         infos = {name: value[0] for name, value in self._episodes.infos().items()}
         return {
             agent: {name: (value[i] if value.ndim else value).item() for name, value in infos.items()}

@@ -1,4 +1,4 @@
-"""A world seen from above; needs matplotlib (extra `plot`)."""
+"""Picture of a world from above; needs matplotlib (extra `plot`)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SIZE_INCHES, DPI = (4.8, 4.8), 100
 
 
 def from_above(scenario: Scenario, path: NDArray[np.floating], time: float) -> NDArray[np.uint8]:
-    """Nodes, obstacles where they are now, the chain, and where vehicles have been.
+    """Draw nodes, obstacles at their present positions, the chain, and the vehicles' paths.
 
     Args:
         scenario: nodes and obstacles, the same in all worlds.

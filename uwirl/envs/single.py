@@ -17,15 +17,15 @@ Array = NDArray[np.float32]
 
 
 class RelayEnv(gymnasium.Env[Any, Any]):
-    """One agent that steers all M vehicles of a world.
+    """One agent that controls all M vehicles of a world.
 
-    Observations [M F] and actions [4 M] are those of the vehicles one after the other in chain order, float32; the
-    reward is the sum of theirs. What entries mean: docs/environments.md.
+    Observations [M F] and actions [4 M], float32, contain the vehicles' entries in chain order; the reward is the sum
+    over the vehicles. docs/environments.md describes the entries.
 
     Args:
-        task: what is to be done; None makes it from the options.
+        task: the task; None creates it from the options.
         render_mode: None or "rgb_array".
-        options: of `uwirl.envs.making.make_task`.
+        options: options of `uwirl.envs.making.make_task`.
     """
 
     metadata = {"render_modes": RENDER_MODES, "render_fps": 10}  # noqa: RUF012
@@ -37,16 +37,16 @@ class RelayEnv(gymnasium.Env[Any, Any]):
         self._episodes = Episodes(self.task, 1, keeps_paths=render_mode is not None)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """The next episode, or the first one of a seed; options are ignored."""
+        """Begin the next episode, or the first one of a seed; options are ignored."""
         super().reset(seed=seed)
         self._episodes.begin(np.array([True]), self.np_random, [seed])
         return self._observation(), self._info()
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """One step of control.
+        """Make one control step.
 
         Args:
-            action: tau / tau_max, [4 M]; what lies beyond 1 counts as 1.
+            action: tau / tau_max, [4 M]; values are clipped to [-1, 1].
 
         Raises:
             ValueError: the action has another type or shape, or is not finite.
@@ -60,7 +60,7 @@ class RelayEnv(gymnasium.Env[Any, Any]):
         return self._observation(), reward, *ends, self._info()
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The world from above, [height, width, 3]; None without a render mode."""
+        """A picture of the world from above, [height, width, 3]; None without a render mode."""
         if self.render_mode is None:
             return None
         from uwirl.envs.picture import from_above

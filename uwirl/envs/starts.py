@@ -1,4 +1,4 @@
-"""Where episodes begin at random."""
+"""Random start poses of episodes."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from uwirl.world.layouts import ATTEMPTS, SEPARATION_M, START_CLEARANCE_M
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.scenario import Scenario
 
-# Of the depth of the water, from the surface.
+# Range of start depths, as fractions of the water depth.
 DEPTHS = (0.025, 0.8)
 
 
 def random_starts(scenario: Scenario, targets: Tensor, streams: RandomStreams) -> Tensor:
-    """eta of vehicles at rest, [B, M, 4], each world's a pure function of its seed and number.
+    """Random poses eta [B, M, 4], a pure function of each world's seed and number.
 
-    Uniform in depth, heading and a square about the targets' centroid whose diagonal is as long as the nodes are
-    apart; drawn again where a vehicle would be near an obstacle or another vehicle.
+    They are uniform in depth, heading and a square around the targets' centroid, whose diagonal equals the distance of
+    the nodes. Poses close to an obstacle or another vehicle are drawn again.
 
     Args:
         scenario: nodes, obstacles, depth.
         targets: [M, 3], m.
-        streams: of B worlds.
+        streams: random numbers of B worlds.
 
     Raises:
         RuntimeError: the obstacles leave no room.

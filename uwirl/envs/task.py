@@ -1,4 +1,4 @@
-"""What learners from elsewhere are to do in many worlds at once: a step of control, its cost, and when it is over."""
+"""The task for learners of other libraries, in many worlds at once: control steps, rewards, and ends of episodes."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from uwirl.world.vehicle import VehicleState
 
 
 class TaskState(NamedTuple):
-    """Where B episodes of M vehicles stand; all but `world` is [B, M(, 2)].
+    """State of B episodes of M vehicles; all attributes except `world` are [B, M(, 2)].
 
     Attributes:
         world: vehicles and time.
-        snr: what each vehicle has read last of its links to either side, [B, M, 2], dB; nan where it heard nothing.
-        stage: what a second here costs, control aside.
+        snr: last SNR readings of each vehicle's two links, [B, M, 2], dB; nan if it received nothing.
+        stage: running cost without its control term, 1/s.
         cost: J so far.
-        clearance: the smallest so far from hull to obstacle or to another vehicle, m; infinite where there is neither.
-        touching: whether it is negative now.
-        contacts: how often it turned negative, int64.
-        blocked: whether no way led to the target at the start, bool.
+        clearance: smallest distance so far from hull to an obstacle or another vehicle, m; infinite without these.
+        touching: whether this distance is negative now.
+        contacts: how often it has become negative, int64.
+        blocked: whether there was no free route to the target at the start, bool.
     """
 
     world: WorldState
@@ -44,7 +44,7 @@ class TaskState(NamedTuple):
     blocked: Tensor
 
     def replaced(self, rows: Tensor, others: TaskState) -> TaskState:
-        """With other episodes in some of the worlds, by their places [K]."""
+        """A copy with other episodes in some worlds, by their indices [K]."""
         components = self.world.components.index_copy(1, rows, others.world.components)
         world = [a.index_copy(0, rows, b) for a, b in zip(self.world[1:], others.world[1:], strict=True)]
         rest = [a.index_copy(0, rows, b) for a, b in zip(self[1:], others[1:], strict=True)]
@@ -52,11 +52,11 @@ class TaskState(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What one step of control brought.
+    """Result of one control step.
 
     Attributes:
         reward: of each vehicle, [B, M], float64.
-        terminated: whether a contact has ended the episode, bool [B].
+        terminated: whether the episode has ended by a contact, bool [B].
         truncated: whether its time is over, bool [B].
     """
 
@@ -66,13 +66,13 @@ class Outcome(NamedTuple):
 
 
 class _Flown(NamedTuple):
-    """A step of control of so many steps of the world.
+    """Several steps of the world that form one control step.
 
     Attributes:
-        world: after it.
+        world: state after it.
         effort: cost of control, [B, M].
-        gap: from hulls to the nearest obstacle or vehicle after each step, [hold, B, M], m.
-        sent_from: where the last message was sent, [B, M, 3], m.
+        gap: distance from hull to the nearest obstacle or vehicle after each step, [hold, B, M], m.
+        sent_from: positions at which the last message was sent, [B, M, 3], m.
     """
 
     world: WorldState
@@ -82,22 +82,22 @@ class _Flown(NamedTuple):
 
 
 class RelayTask:
-    """Vehicles that are to form a chain between two nodes at least cost.
+    """The task to form a chain between two nodes at minimal cost.
 
-    The reward is minus the running cost (37) of the true mean channel, integrated over a step of control: its terms of
-    place by the trapezoid rule from one step to the next, that of control exactly. With a control period of scenario.dt
-    the rewards of an episode add up to -J of `uwirl.study.evaluation`.
+    The reward is the negative running cost (37) on the true mean channel, integrated over a control step: terms that
+    depend on the position by the trapezoid rule, the control term exactly. With a control period of scenario.dt the
+    rewards of an episode sum to -J of `uwirl.study.evaluation`.
 
     Args:
         evaluator: worlds, running cost and guard; scenario, vehicle and channel are taken from its worlds, whose start,
             obstacles and mean current are the same for all.
-        control_period_s: for which an action is held; the guard acts at every step of the world.
-        nearest_obstacles: how many are observed.
-        random_start: whether every episode begins elsewhere (`uwirl.envs.starts`).
-        ends_on_contact: whether an episode ends, for all its vehicles, when one touches an obstacle or another.
+        control_period_s: time for which an action is held, s; the guard is applied at every step of the world.
+        nearest_obstacles: number of observed obstacles.
+        random_start: whether every episode begins at random poses (`uwirl.envs.starts`).
+        ends_on_contact: whether an episode ends for all vehicles when one touches an obstacle or another vehicle.
 
     Raises:
-        ValueError: the control period is no multiple of scenario.dt, or the worlds are not alike.
+        ValueError: the control period is not a multiple of scenario.dt, or the worlds are not alike.
     """
 
     def __init__(
@@ -131,15 +131,15 @@ class RelayTask:
 
     @property
     def steps(self) -> int:
-        """Steps of control in an episode: as many as the mission needs, the last one whole."""
+        """Number of control steps in an episode: the mission's duration, rounded up."""
         return math.ceil(self.scenario.steps / self.hold)
 
     def worlds(self, streams: RandomStreams) -> Evaluator:
-        """Those of these random numbers, and the judge of what happens in them."""
+        """The worlds with these random numbers, and their evaluator."""
         return self.evaluator.in_worlds(self.evaluator.env.on(self.scenario, streams))
 
     def begin(self, judge: Evaluator) -> TaskState:
-        """Episodes at their start, where the first message is heard."""
+        """Begin episodes; the first message is received at the start."""
         env, targets = judge.env, self.features.frame.target
         B, M = env.worlds, self.scenario.vehicles
         eta = self.scenario.start.expand(B, M, 4)
@@ -161,12 +161,12 @@ class RelayTask:
         )
 
     def step(self, judge: Evaluator, state: TaskState, action: Tensor) -> tuple[TaskState, Outcome]:
-        """One step of control.
+        """Make one control step.
 
         Args:
-            judge: of the worlds.
-            state: of their episodes.
-            action: tau as a share of tau_max, [B, M, 4]; the vehicle's limits hold beyond 1.
+            judge: evaluator of the worlds.
+            state: state of their episodes.
+            action: tau / tau_max, [B, M, 4]; larger values than 1 are limited by the vehicle.
 
         Raises:
             FloatingPointError: the vehicles' dynamics diverged.
@@ -192,14 +192,14 @@ class RelayTask:
         return after, Outcome(-cost, terminated, flown.world.step >= self.scenario.steps)
 
     def _fly(self, judge: Evaluator, state: TaskState, command: Tensor) -> _Flown:
-        """Hold a wanted tau [B, M, 4] for one step of control, as far as the guard lets it."""
+        """Hold a wanted tau [B, M, 4] for one control step, changed by the guard if needed."""
         env, cost, world = judge.env, judge.mission.cost, state.world
         observation, last, sent_at = env.observe(world), None, self._sent_at(world.step)
         first, final = int(sent_at.min()), int(sent_at.max())
         sent_from, effort, gaps = world.vehicles.position, torch.zeros_like(state.stage), []
         for k in range(1, self.hold + 1):
             wanted = judge.guard(command, observation)
-            # No guard returns the command itself, which need not be looked at again.
+            # Without a guard, `wanted` is always the same tensor and is processed only once.
             if wanted is not last:
                 last, tau = wanted, env.vehicle.saturate(wanted)
                 price = cost.control(tau - env.vehicle.trim) * self.scenario.dt
@@ -211,24 +211,24 @@ class RelayTask:
         return _Flown(world, effort, torch.stack(gaps), sent_from)
 
     def observe(self, judge: Evaluator, state: TaskState) -> Tensor:
-        """What the vehicles are told, [B, M, F], float32."""
+        """The observations of the vehicles, [B, M, F], float32."""
         return self.features(judge.env.observe(state.world), state.snr)
 
     def _stage_cost(self, judge: Evaluator, world: WorldState) -> Tensor:
         """(37) without its control term, [B, M]."""
         cost, vehicles = judge.mission.cost, world.vehicles
-        # A copy, along whose last axis norms are several times as fast.
+        # A contiguous copy, for which norms along the last axis are several times faster.
         position, time = vehicles.position.contiguous(), world.step.double() * self.scenario.dt
         around = cost.obstacle(self.scenario.obstacles, position, time)
         return cost.state(self.features.frame.relative(vehicles)) + around
 
     def _sent_at(self, step: Tensor) -> Tensor:
-        """How many steps after `step` [B] the last message of a step of control is sent; none is if not positive."""
+        """Number of steps from `step` [B] to the last message in a control step; not positive if there is none."""
         every = round(self.scenario.message_period / self.scenario.dt)
         return (step + self.hold) // every * every - step
 
     def _heard(self, judge: Evaluator, state: TaskState, sent_from: Tensor) -> Tensor:
-        """The last SNR readings after a step of control, [B, M, 2], dB, of a message sent from [B, M, 3]."""
+        """The last SNR readings after a control step, [B, M, 2], dB, for a message sent from [B, M, 3]."""
         sent_at = self._sent_at(state.world.step)
         if int(sent_at.max()) < 1:
             return state.snr
@@ -237,9 +237,9 @@ class RelayTask:
         return torch.where((sent_at > 0)[:, None, None] & ~snr.isnan(), snr, state.snr)
 
     def _gap(self, world: WorldState) -> Tensor:
-        """From each vehicle's hull to the nearest obstacle or vehicle, [B, M], m.
+        """Distance from each vehicle's hull to the nearest obstacle or vehicle, [B, M], m.
 
-        Component by component, because a norm over an axis of two would take longer than the world itself.
+        Computed component by component, because a norm over an axis of two would take longer than the world step.
         """
         x, y, z = world.components[:3]
         gap, radius = torch.full_like(x, torch.inf), self.scenario.vehicle_radius

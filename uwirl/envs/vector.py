@@ -19,16 +19,15 @@ Array = NDArray[Any]
 
 
 class RelayVectorEnv(VectorEnv[Array, Array, Array]):
-    """B worlds, each of which does what a `RelayEnv` of its seed does.
+    """B worlds; each behaves exactly like a `RelayEnv` with the same seed.
 
     Args:
-        task: what is to be done; None makes it from the options.
+        task: the task; None creates it from the options.
         num_envs: B.
         render_mode: None or "rgb_array".
-        autoreset_mode: when a world whose episode is over begins the next one: at the next step, whose action it does
-            not look at (Gymnasium's default), in the same step, whose `infos` then have `final_obs` and `final_info`,
-            or never.
-        options: of `uwirl.envs.making.make_task`.
+        autoreset_mode: when a world begins the next episode after its end: at the next step, whose action it ignores
+            (Gymnasium's default), in the same step, whose `infos` then contain `final_obs` and `final_info`, or never.
+        options: options of `uwirl.envs.making.make_task`.
 
     Raises:
         ValueError: num_envs is not positive, or a mode is unknown.
@@ -59,15 +58,15 @@ class RelayVectorEnv(VectorEnv[Array, Array, Array]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """The next episode of all worlds, or of those where `options["reset_mask"]` is true.
+        """Begin the next episode in all worlds, or in those with a true `options["reset_mask"]`.
 
         Args:
-            seed: of the first world, each later one's being one more, or one for each; None goes on with the next
-                episode.
-            options: a reset_mask, bool [B]; the others stay where they are, and `infos` say nothing of them.
+            seed: seed of the first world, increased by one for each further world, or one seed for each; None
+                continues with the next episode.
+            options: a reset_mask, bool [B]; the other worlds are unchanged and have no entries in `infos`.
 
         Raises:
-            ValueError: the mask or the seeds are none, or worlds that have not begun yet are left out.
+            ValueError: the mask or the seeds are invalid, or a world without an episode is left out.
         """
         mask = _checked_mask((options or {}).get("reset_mask"), self.num_envs)
         if not mask.all() and (self._episodes.number[~mask] < 0).any():
@@ -85,14 +84,14 @@ class RelayVectorEnv(VectorEnv[Array, Array, Array]):
         return self._observations(), self._infos(mask)
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """One step of control in all worlds.
+        """Make one control step in all worlds.
 
         Args:
-            actions: tau / tau_max, [B, 4 M]; what lies beyond 1 counts as 1.
+            actions: tau / tau_max, [B, 4 M]; values are clipped to [-1, 1].
 
         Raises:
             ValueError: the actions have another type or shape, or are not finite.
-            ResetNeeded: no episode has begun, or, without autoreset, one is over.
+            ResetNeeded: no episode has begun, or one is over and there is no autoreset.
         """
         share = checked_action(actions, (self.num_envs, 4 * self.task.scenario.vehicles))
         waiting = self._episodes.over
@@ -111,7 +110,7 @@ class RelayVectorEnv(VectorEnv[Array, Array, Array]):
         return self._observations(), reward, terminated, truncated, self._infos(everywhere) | final
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Every world from above, [height, width, 3] each; None without a render mode."""
+        """Pictures of all worlds from above, [height, width, 3] each; None without a render mode."""
         if self.render_mode is None:
             return None
         from uwirl.envs.picture import from_above
@@ -123,14 +122,14 @@ class RelayVectorEnv(VectorEnv[Array, Array, Array]):
         return self._episodes.observation().reshape(self.num_envs, -1)
 
     def _infos(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
-        """Arrays [B], each with a mask `_name` of the worlds that it says something about, as Gymnasium does."""
+        """Arrays [B], each with a mask `_name` of the worlds with a value, as in Gymnasium."""
         infos: dict[str, Any] = {}
         for name, values in of_worlds(self._episodes.infos()).items():
             infos[name], infos[f"_{name}"] = np.where(mask, values, np.zeros_like(values)), mask.copy()
         return infos
 
     def _final(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        """What `infos` say of episodes that have just ended where the next ones begin in the same step."""
+        """Entries of `infos` about ended episodes, if the next ones begin in the same step."""
         last, observations = np.full(self.num_envs, None, dtype=object), self._observations()
         for row in np.flatnonzero(ended):
             last[row] = observations[row].copy()

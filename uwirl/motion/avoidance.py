@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-# From distances l [..., O] to the axes and radii of influence rho_o, which broadcast, to E_O [...].
+# From distances l [..., O] to the axes, and influence radii rho_o that broadcast, to E_O [...].
 Avoidance = Callable[[Tensor, Tensor], Tensor]
 
 
 def smooth(l: Tensor, influence: Tensor) -> Tensor:
-    """cost=relay: sum of max(0, 1/l - 1/rho_o)^2, once differentiable at l = rho_o and zero beyond.
+    """cost=relay: sum of max(0, 1/l - 1/rho_o)^2, continuously differentiable, and zero for l > rho_o.
 
     Args:
         l: distances to the axes, [..., O], m; infinite where there is no obstacle.
@@ -30,12 +30,13 @@ def smooth(l: Tensor, influence: Tensor) -> Tensor:
 class Printed:
     """cost=paper: sum of exp(-(l^2/nu^2)^c / 2) (1/l - 1/rho_o)^2, as (34) and (35) have it.
 
-    Without the max the bracket grows again beyond rho_o. Unless nu lies just beyond rho_o, the term then draws vehicles
-    to the ring l = rho_o, where it is zero; it is finite at contact, so it can be crossed wherever the link gains more.
+    Without the max, the bracket grows again for l > rho_o. Unless nu is slightly larger than rho_o, the term then
+    attracts vehicles to the ring l = rho_o, where it is zero. It is finite at contact, so vehicles cross an obstacle
+    if the link gains more than that.
 
     Attributes:
         c: steepness.
-        nu: repulsive range, m.
+        nu: range of the repulsion, m.
     """
 
     c: float
@@ -49,15 +50,15 @@ class Printed:
 def remark_2(left_m: float, right_m: float, kappa_1: float, kappa_2: float) -> tuple[float, float]:
     """c and nu for which f(l) = exp(-(l^2/nu^2)^c / 2) is kappa_1 at l_left and kappa_2 at l_right.
 
-    Remark 2 prints c = ln(log_kappa1 kappa_2) / (2 ln l_right - ln l_left); the 2 belongs before the whole difference.
+    Remark 2 prints c = ln(log_kappa1 kappa_2) / (2 ln l_right - ln l_left); the 2 must multiply the whole difference.
 
     Args:
-        left_m: just within rho_o, m.
-        right_m: just beyond rho_o, m.
+        left_m: slightly smaller than rho_o, m.
+        right_m: slightly larger than rho_o, m.
         kappa_1, kappa_2: 0 < kappa_2 < kappa_1 < 1.
 
     Raises:
-        ValueError: values out of that order.
+        ValueError: the values are not in this order.
     """
     if not 0.0 < left_m < right_m or not 0.0 < kappa_2 < kappa_1 < 1.0:
         raise ValueError(

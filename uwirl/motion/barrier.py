@@ -5,9 +5,9 @@ own vehicle and v_t the relative speed across n,
 
     h'' + k_1 h' + k_0 h >= 0,   h'' = n . a + v_t^2 / l,   a = tau / m
 
-is a half-plane of surge and sway forces; vehicles share the bound between them, and heave is taken as it comes. Unlike
-the energy guard this needs the vehicle's inertia, and leaves drag out. At most two half-planes or limits hold with
-equality at the optimum, so that trying them all is exact. (Wang, Ames, Egerstedt: "Safety barrier certificates for
+is a half-plane of surge and sway forces. Two vehicles share the bound between them; heave is not changed. Unlike the
+energy guard, this needs the vehicle's inertia; it neglects drag. At most two half-planes or limits hold with equality
+at the optimum, so that an enumeration of all pairs is exact. (Wang, Ames, Egerstedt: "Safety barrier certificates for
 collisions-free multirobot systems", IEEE Transactions on Robotics 33, 2017.)
 """
 
@@ -34,7 +34,7 @@ class BarrierGuard:
         separation_m: distance to keep between the centres of vehicles, m.
         k_1: 1/s.
         k_0: 1/s^2.
-        inertia_kg: in surge, sway and heave, as believed.
+        inertia_kg: assumed inertia in surge, sway and heave.
     """
 
     limits: Limits
@@ -45,7 +45,7 @@ class BarrierGuard:
     inertia_kg: Sequence[float] = (17.0, 24.2, 26.07)
 
     def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
-        """tau [B, M, 4], with surge and sway changed as little as the barriers ask for."""
+        """tau [B, M, 4], with the smallest change of surge and sway that satisfies the barriers."""
         if nothing_near(observation):
             return tau
         tau = torch.clamp(tau, -self.limits.tau_max, self.limits.tau_max)
@@ -65,7 +65,7 @@ class BarrierGuard:
 
     def _vehicles(self, observation: Observation, tau: Tensor) -> tuple[Tensor, Tensor]:
         near = vehicle_neighbours(observation)
-        # Relative velocities, in the axes of the vehicle that they are for.
+        # Relative velocities, in the body axes of the vehicle that is protected.
         psi, others = observation.eta[..., 3], observation.messages
         own = turned_to_inertial(observation.nu[..., :3], psi)[..., :, None, :]
         theirs = turned_to_inertial(others.nu[..., :3], others.eta[..., 3])
@@ -78,7 +78,7 @@ class BarrierGuard:
         return like.new_tensor(self.inertia_kg)
 
     def _least(self, n: Tensor, nu: Tensor, h: Tensor, l: Tensor) -> Tensor:
-        """Least admissible n . a, [..., C]; minus infinity where there is nothing."""
+        """Least admissible n . a, [..., C]; minus infinity where there is no obstacle or vehicle."""
         rate = (n * nu).sum(-1)
         across = nu.square().sum(-1) - rate.square()
         return -self.k_1 * rate - self.k_0 * h - across.clamp_min(0.0) / l
@@ -94,10 +94,10 @@ def nearest_force(wanted: Tensor, normal: Tensor, least: Tensor, force_max: Tens
         force_max: [2], N.
 
     Returns:
-        [..., 2], N, within the limits; where nothing is admissible, the one that violates least of those tried.
+        [..., 2], N, within the limits; if none is admissible, the candidate with the smallest violation.
     """
     size = torch.linalg.vector_norm(normal, dim=-1).clamp_min(1e-12)
-    # Where there is no constraint, one that always holds.
+    # In place of a missing constraint, one that always holds.
     b = torch.where(least.isfinite(), least / size, -10.0 * force_max.sum())
     box = torch.cat([torch.eye(2), -torch.eye(2)]).to(wanted)
     A = torch.cat([normal / size[..., None], box.expand(*normal.shape[:-2], 4, 2)], -2)
@@ -114,7 +114,7 @@ def nearest_force(wanted: Tensor, normal: Tensor, least: Tensor, force_max: Tens
     admissible = (violation < 1e-6).all(-1)
     within = (violation[..., -4:] < 1e-6).all(-1)
     change = torch.linalg.vector_norm(candidates - wanted[..., None, :], dim=-1)
-    # Admissible ones by the change, others by the violation.
+    # Admissible candidates are ranked by their change, others by their violation.
     score = torch.where(admissible, change, 1e6 + violation[..., :-4].amax(-1))
     best = torch.where(within, score, torch.inf).argmin(-1)
     force = candidates.gather(-2, best[..., None, None].expand(*best.shape, 1, 2))[..., 0, :]

@@ -1,4 +1,4 @@
-"""The hover that comes before anything else: is the start policy admissible, and what trim does it take?"""
+"""The calibration hover before learning: checks that the start policy is admissible, and measures the trim."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from uwirl.world.trajectory import Trajectory
 def calibration_hover(
     env: Relay, actor: LinearActor, cost: RelayCost, seconds: float, guard: Guard
 ) -> tuple[Trajectory, Tensor]:
-    """Hold a point nearby with the start policy: what trim does it take, and is the policy admissible?
+    """Fly to a nearby point with the start policy and hold it, to measure the trim and check the policy.
 
-    The point lies 1 m ahead, 1 m abeam and, at the surface or the floor, off it, where it would carry the vehicle.
+    The point is 1 m ahead and 1 m to the side; at the surface or the floor it is also vertically away from it, because
+    contact would carry the vehicle and falsify the trim.
 
     Args:
         env: the worlds.
         actor: the start policy.
         cost: the learner's running cost.
         seconds: duration, s.
-        guard: between policy and thrusters.
+        guard: guard between policy and thrusters.
 
     Returns:
         The flight, and tau_trim [L, 4], the mean control over the last quarter of the hover.

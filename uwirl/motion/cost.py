@@ -3,8 +3,8 @@
     g = beta_1 (1/C^2 - 1/C_max^2) + beta_2 E_O + yaw_weight (1 - cos psi~)
         + sum_k R_k ((tau_k - tau_trim,k) / tau_max,k)^2
 
-C is the smaller mean capacity of a vehicle's two links with its neighbours at their targets, C_max the one at its own
-target.
+C is the smaller mean capacity of a vehicle's two links, with its neighbours at their targets; C_max is C at the
+vehicle's own target.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from uwirl.world.obstacles import Obstacles
 
 @dataclass(frozen=True)
 class CostWeights:
-    """What a mission is judged by; the defaults are those of cost=relay.
+    """Weights of a mission's running cost; the defaults are those of cost=relay.
 
     Attributes:
         beta_1: weight of the link cost, (kbit/s)^2.
         beta_2: weight of the avoidance term, m^2.
-        yaw_weight: without this small term the optimal yaw weights are zero.
-        R: control weights of an effort normalised by the thruster limits; surge, sway, heave, yaw.
-        avoidance: E_O.
+        yaw_weight: weight of the yaw term; without this small term the optimal yaw control would be zero.
+        R: control weights, with efforts normalised by the thruster limits; surge, sway, heave, yaw.
+        avoidance: avoidance term E_O.
     """
 
     beta_1: float = 100.0
@@ -62,9 +62,9 @@ class RelayCost:
     """Running cost in link-frame coordinates.
 
     Args:
-        channel: the channel to count on: the estimate when learning, the truth when evaluating.
+        channel: the estimated channel for learning, the true one for evaluation.
         neighbours: positions of a vehicle's two neighbours in its link frame, [..., M, 2, 3], m.
-        weights: as named.
+        weights: weights of the terms.
         tau_max: thruster limits, [4].
     """
 
@@ -72,7 +72,7 @@ class RelayCost:
         self.channel = channel
         self.neighbours = neighbours
         self.weights = weights
-        # In newtons, R would make 0.16 m/s optimal and the mission would never end.
+        # With efforts in newtons, 0.16 m/s would be optimal and vehicles would not arrive in time.
         self.R = torch.tensor(list(weights.R), dtype=tau_max.dtype, device=tau_max.device) / tau_max**2
         self.minimum = self._inverse_square_capacity(neighbours.new_zeros(*neighbours.shape[:-2], 3))
 
@@ -81,12 +81,12 @@ class RelayCost:
         return self.weights.beta_1 / self.channel.mean_capacity_kbps(hop).square()
 
     def link(self, xi: Tensor) -> Tensor:
-        """E_L less its minimum, [..., M], of xi [..., M, 8]."""
+        """E_L minus its minimum, [..., M], at xi [..., M, 8]."""
         return self._inverse_square_capacity(xi[..., :3]) - self.minimum
 
     @property
     def scale(self) -> Tensor:
-        """E_L less its minimum of a vehicle that sits on a neighbour: what the link costs without a relay, [..., M]."""
+        """E_L minus its minimum for a vehicle at a neighbour's position: the link cost without a relay, [..., M]."""
         return self._inverse_square_capacity(self.neighbours[..., 0, :]) - self.minimum
 
     def yaw(self, xi: Tensor) -> Tensor:
@@ -94,7 +94,7 @@ class RelayCost:
         return self.weights.yaw_weight * (1.0 - torch.cos(xi[..., 3]))
 
     def of(self, vehicle: Tensor) -> RelayCost:
-        """The cost of some vehicles, by their numbers [K], which count on over all worlds; the K are the new M."""
+        """The cost of some vehicles, by their numbers [K], counted through all worlds; K becomes the new M."""
         one = copy(self)
         vehicle = vehicle % self.neighbours.shape[-3]
         one.neighbours, one.minimum = self.neighbours[vehicle], self.minimum[vehicle]
@@ -104,7 +104,7 @@ class RelayCost:
     def obstacle(self, obstacles: Obstacles, position: Tensor, time: Tensor | float = 0.0) -> Tensor:
         """The avoidance term, [..., M], at [..., M, 3] and a time in s, a number or [...].
 
-        A virtual link moves its frame, obstacles stay: so this is no function of xi and no part of `state`.
+        It depends on the position in the world, not only relative to the link, so it is not part of `state`.
         """
         if obstacles.number == 0:
             return torch.zeros_like(position[..., 0])
@@ -112,7 +112,7 @@ class RelayCost:
         return self.weights.beta_2 * self.weights.avoidance(l, obstacles.influence[..., None, :])
 
     def state(self, xi: Tensor) -> Tensor:
-        """All of q that depends on xi alone, [..., M]."""
+        """The terms of q that depend on xi only, [..., M]."""
         return self.link(xi) + self.yaw(xi)
 
     def control(self, effort: Tensor) -> Tensor:

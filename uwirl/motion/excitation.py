@@ -1,4 +1,4 @@
-"""Random draws of exploration: control added to the policy's, and the link that a leg is flown to."""
+"""Random draws for exploration: the excitation added to the policy's control, and the virtual link of a leg."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario
 
 FREQUENCIES = 6
-# Half width of the angle between a link in the arena and the way from its target to the vehicle, rad: missions, too,
-# come mostly along the link.
+# Half width of the angle between a link in the arena and the line from its target to the vehicle, rad: in missions,
+# vehicles come mostly along the link, too.
 ASKEW = 0.4
 
 
@@ -26,7 +26,7 @@ class Excitation:
 
     Attributes:
         rms: root mean square on each axis at full strength, N, N, N, N m.
-        strength: range from which each leg's strength is drawn.
+        strength: range from which the strength of each leg is drawn.
         band_rad_s: range from which the frequencies are drawn, rad/s.
     """
 
@@ -35,7 +35,7 @@ class Excitation:
     band_rad_s: Sequence[float]
 
     def draw(self, streams: RandomStreams, vehicles: int, leg: int, steps: int, dt: float) -> Tensor:
-        """[n, B M, 4]."""
+        """The excitation at n steps, [n, B M, 4]."""
         numbers = 1 + 8 * FREQUENCIES
         u = streams.uniform(Stream.EXPLORATION, leg, vehicles * numbers).view(-1, numbers)
         omega, phase = u[:, 1:].view(-1, 2, 4, FREQUENCIES).unbind(1)
@@ -48,13 +48,13 @@ class Excitation:
 
 @dataclass(frozen=True)
 class PoseDraw:
-    """Distribution of the pose that a leg starts with, relative to its virtual link.
+    """Distribution of the start pose of a leg, relative to its virtual link.
 
     Attributes:
         along_m, across_m, up_m: half widths of e_par, e_perp and e_z, numbers or [B] where worlds differ.
         yaw_rad: half width of psi~.
-        near_share: share of legs drawn close to the target instead.
-        near_scale: by which their widths along and across shrink (that of e_z by its double).
+        near_share: fraction of legs that start close to the target.
+        near_scale: factor of their half widths along and across the link (twice this factor for e_z).
     """
 
     along_m: float | Tensor
@@ -65,7 +65,7 @@ class PoseDraw:
     near_scale: float
 
     def draw(self, streams: RandomStreams, vehicles: int, step: int) -> Tensor:
-        """(e_par, e_perp, e_z, psi~), [B M, 4]."""
+        """Poses (e_par, e_perp, e_z, psi~), [B M, 4]."""
         u = streams.uniform(Stream.INITIAL_STATE, step, 5 * vehicles).view(-1, 5)
         near = u[:, 4:] < self.near_share
         plane = torch.where(near, self.near_scale, 1.0)
@@ -79,20 +79,20 @@ class PoseDraw:
         return (2.0 * u[:, :4] - 1.0) * half * shrink
 
     def frame(self, env: Relay, eta: Tensor, step: int) -> LinkFrame:
-        """Links of vehicles at [B, M, 4], wherever these poses put them, with the targets in the water."""
+        """Links placed so that vehicles at [B, M, 4] have the drawn poses, with the targets in the water."""
         pose = self.draw(env.streams, eta.shape[1], step).to(eta.dtype)
         return LinkFrame.seen_as(eta, pose.view(eta.shape)).within(env.scenario.depth)
 
 
 @dataclass(frozen=True)
 class ArenaDraw(PoseDraw):
-    """Links that stand anywhere in the box of nodes, starts and obstacles, near ones about the vehicle."""
+    """Links anywhere in the box that contains nodes, starts and obstacles; near ones close to the vehicle."""
 
     def frame(self, env: Relay, eta: Tensor, step: int) -> LinkFrame:
-        """Links of vehicles at [B, M, 4], with the targets in the water."""
+        """Links for vehicles at [B, M, 4], with the targets in the water."""
         about = super().frame(env, eta, step)
         B, M = eta.shape[:-1]
-        # The first five of each vehicle are its pose's.
+        # The first five numbers of each vehicle are used for its pose.
         u = env.streams.uniform(Stream.INITIAL_STATE, step, 8 * M).to(eta.dtype)
         near = u[:, : 5 * M].view(B, M, 5)[..., 4] < self.near_share
         x, y, askew = u[:, 5 * M :].view(B, M, 3).unbind(-1)
@@ -105,7 +105,7 @@ class ArenaDraw(PoseDraw):
 
 
 def _box(scenario: Scenario) -> tuple[Tensor, Tensor]:
-    """Horizontal corners of all that stands in the scenario, [2] each, m."""
+    """Horizontal corners of the box that contains nodes, starts and obstacles, [2] each, m."""
     obstacles = scenario.obstacles
     nodes = (scenario.source, scenario.destination, scenario.start, obstacles.centre[obstacles.present])
     places = torch.cat([node[..., :2].reshape(-1, 2) for node in nodes])

@@ -1,9 +1,9 @@
-"""Where the learner's experience comes from.
+"""Flights that give the learner its experience.
 
-A vehicle's problem depends on its pose relative to its link only, so a link may be placed anywhere: a flight towards a
-virtual link teaches as much as the mission itself, and one flown segment can be seen from other virtual frames as well.
-Where the basis sees ways among obstacles, which stand where they are, so do the virtual links, and none is seen from
-elsewhere.
+A vehicle's problem depends only on its pose relative to its link, so links can be placed anywhere. A flight to a
+virtual link is as informative as the mission itself, and a flown segment can be transformed into other virtual frames
+(relabelled). A basis with routes among obstacles is different: obstacles are fixed, so virtual links are drawn inside
+the arena, and segments are not relabelled.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario
 from uwirl.world.trajectory import Trajectory, WorldState
 
-# A mission's links are longer than what is drawn by no more than this, and starts no farther, m/m.
+# Widths of the drawn poses relative to the largest distances in missions, m/m.
 BEYOND = 1.05
 
 
 class FlightState(NamedTuple):
-    """Where a flight stands between two legs; as all draws are counter-based, the rest of it follows from this.
+    """State of a flight between two legs; it determines the rest of the flight, because all draws are counter-based.
 
     Attributes:
-        world: where the vehicles are, and at which step.
+        world: state of the worlds.
         leg: number of the next leg.
     """
 
@@ -50,10 +50,10 @@ class Leg(NamedTuple):
     """One leg of a flight.
 
     Attributes:
-        batch: what can be learned from it.
-        after: where the flight stands then.
-        seconds: of vehicle time that it took.
-        contacts: with obstacles on it.
+        batch: its experience for the learner.
+        after: state of the flight after it.
+        seconds: its vehicle time, s.
+        contacts: number of contacts with obstacles.
     """
 
     batch: Batch
@@ -63,35 +63,35 @@ class Leg(NamedTuple):
 
 
 def contacts_while(env: Relay, flown: Trajectory) -> int:
-    """Contacts of all vehicles with obstacles."""
+    """Number of contacts of all vehicles with obstacles during a flight."""
     return int(contacts(env.scenario.clearance(flown.states.position, flown.time[:, None])).sum())
 
 
 class ExperienceSource(Protocol):
-    """Flies the newest policy to learn from the flight."""
+    """Flies the newest policy and collects experience."""
 
     def learners(self, env: Relay) -> int:
-        """L, how many sets of weights learn from it."""
+        """L, the number of sets of weights that learn from it."""
         ...
 
     def begin(self, hover: Trajectory) -> FlightState:
-        """Where the flight stands when the calibration hover is over."""
+        """State of the flight after the calibration hover."""
         ...
 
     def fly(self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard) -> Leg:
-        """The next leg, which depends on where the flight stands and on the actor's weights alone."""
+        """Fly the next leg; it depends only on the state of the flight and the actor's weights."""
         ...
 
 
 @dataclass(frozen=True)
 class Exploration:
-    """How the learner flies to learn.
+    """Settings of the exploration flights.
 
     Attributes:
         leg_s: time between two virtual links, s.
-        max_time_s: how long such a flight is worth going on, s; `planner.max_time_s` refers to it.
+        max_time_s: sensible duration of such a flight, s; `planner.max_time_s` refers to it.
         excitation_rms, excitation_strength, excitation_band_rad_s: see Excitation.
-        across_share: half width of starts across the link, as a share of that along it.
+        across_share: half width of starts across the link, as a fraction of that along it.
         up_m, yaw_rad, near_share, near_scale: see PoseDraw.
     """
 
@@ -108,11 +108,11 @@ class Exploration:
 
     @property
     def excitation(self) -> Excitation:
-        """Added to the policy's control."""
+        """The excitation that is added to the policy's control."""
         return Excitation(self.excitation_rms, self.excitation_strength, self.excitation_band_rad_s)
 
     def poses(self, scenario: Scenario, among_obstacles: bool) -> PoseDraw:
-        """Where legs begin relative to their links: as far as in missions, and a little further."""
+        """Distribution of start poses relative to the links: distances as in missions, and slightly larger."""
         source, destination = scenario.source.tolist(), scenario.destination.tolist()
         half = [(b - a) / 2.0 for a, b in zip(source, destination, strict=True)]
         bearing = math.atan2(half[1], half[0])
@@ -124,7 +124,7 @@ class Exploration:
             across = max(self.across_share * along, *(BEYOND * abs(c * y - s * x) for x, y, _ in errors))
             return along, across, max(self.up_m, *(BEYOND * abs(z) for _, _, z in errors))
 
-        # Each world by its own starts, so that it draws the same whatever others there are.
+        # Separately for each world, so that its draws do not depend on the other worlds of the batch.
         starts = scenario.start[..., :3]
         each = [widths(world) for world in starts.reshape(-1, *starts.shape[-2:]).tolist()]
         reach = torch.tensor(each, dtype=torch.float64).T if starts.ndim == 3 else each[0]
@@ -136,7 +136,7 @@ class Exploration:
     def flown(
         self, env: Relay, flight: FlightState, draw: int, actor: LinearActor, recorder: Recorder, guard: Guard
     ) -> tuple[Trajectory, Tensor]:
-        """One excited leg to the virtual links of a draw; also x [n + 1, L, d]."""
+        """Fly one leg with excitation to the virtual links of a draw; returns also x [n + 1, L, d]."""
         world, steps = flight.world, round(self.leg_s / env.scenario.dt)
         eta = world.vehicles.eta
         B, M = eta.shape[:2]
@@ -150,32 +150,32 @@ class Exploration:
 
 @dataclass(frozen=True)
 class VirtualLinks(Exploration):
-    """One continuous flight; every leg a new virtual link is drawn, and segments are seen from other frames too.
+    """One continuous flight; each leg has a new virtual link, and its segments are also relabelled to other frames.
 
     Attributes:
-        relabel: from how many further frames each leg is seen.
-        relabel_time_s: what was seen so counts exp(-flight time / relabel_time_s) as much as what was flown.
+        relabel: number of other frames for each leg.
+        relabel_time_s: relabelled segments are weighted by exp(-flight time / relabel_time_s), flown ones by 1, s.
     """
 
     relabel: int = 4
     relabel_time_s: float = 20.0
 
     def learners(self, env: Relay) -> int:
-        """Each vehicle of each world learns for itself, L = B M."""
+        """Each vehicle of each world learns its own weights, L = B M."""
         return env.worlds * env.scenario.vehicles
 
     def begin(self, hover: Trajectory) -> FlightState:
-        """The flight goes on where the hover ends."""
+        """The flight continues from the end of the hover."""
         return FlightState(hover.end.detached(), 0)
 
     def fly(self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard) -> Leg:
-        """The next leg of all vehicles."""
+        """Fly the next leg with all vehicles."""
         dt, leg = env.scenario.dt, flight.leg
         draw = leg * (1 + self.relabel)
         flown, x = self.flown(env, flight, draw, actor, recorder, guard)
         weight = math.exp(-(leg + 1) * self.leg_s / self.relabel_time_s) if self.relabel else 0.0
         relabelled = None
-        # Below a thousandth the relabelled windows no longer matter and are not made.
+        # Relabelled windows with a weight below 0.001 have no effect and are not computed.
         if weight > 1e-3:
             poses = self.poses(env.scenario, recorder.basis.among_obstacles)
             frames = [poses.draw(env.streams, env.scenario.vehicles, draw + k) for k in range(1, 1 + self.relabel)]
@@ -187,7 +187,7 @@ class VirtualLinks(Exploration):
 
 @dataclass(frozen=True)
 class Parallel(Exploration):
-    """Many worlds at once, each with its own virtual link, all teaching one learner.
+    """Many worlds in parallel, each with its own virtual link; one learner uses all their experience.
 
     Attributes:
         worlds: number of worlds.
@@ -196,18 +196,18 @@ class Parallel(Exploration):
     worlds: int = 60
 
     def learners(self, env: Relay) -> int:
-        """One for all, L = 1."""
+        """One learner for all worlds, L = 1."""
         return 1
 
     def begin(self, hover: Trajectory) -> FlightState:
-        """All worlds begin where the first vehicle's hover ends."""
+        """All worlds begin at the end of the first vehicle's hover."""
         first = hover.end
         state = first.components[:, :1, :1].expand(-1, self.worlds, 1).contiguous()
         target = first.target[:1, :1].expand(self.worlds, 1, 3)
         return FlightState(WorldState(state, first.step[:1].expand(self.worlds).clone(), target), 0)
 
     def fly(self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard) -> Leg:
-        """The next leg of all worlds, whose vehicle seconds add up."""
+        """Fly the next leg in all worlds; their vehicle seconds add up."""
         seed = env.streams.seed
         streams = RandomStreams(seed[:1].expand(self.worlds), torch.arange(self.worlds, device=seed.device))
         env = env.on(env.scenario, streams)

@@ -1,4 +1,4 @@
-"""Bases of critic and actor; those in link-frame coordinates xi = [e_par, e_perp, e_z, psi~, u, v, w, r]."""
+"""Feature bases of critic and actor, in link-frame coordinates xi = [e_par, e_perp, e_z, psi~, u, v, w, r]."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AXES = ("surge", "sway", "heave", "yaw")
 
 
 class MotionBasis(Basis, Protocol):
-    """A basis that also knows a damped PD policy and the damped convex potentials in its own features."""
+    """A feature basis with a start policy (damped PD) and bounds (damped convex potentials) in its own features."""
 
     def start_weights(self) -> Tensor:
         """Weights of an admissible policy, [n3]."""
@@ -38,33 +38,33 @@ class MotionBasis(Basis, Protocol):
 
     @property
     def among_obstacles(self) -> bool:
-        """Whether it sees ways among obstacles, so that the links to learn from stand where these do."""
+        """Whether it uses routes among obstacles; virtual links are then drawn inside the arena."""
         ...
 
     def view(self, env: Relay, frame: LinkFrame) -> View:
-        """Sees the basis' state x of vehicles [B, M] on their flight to links [M] or [B, M]."""
+        """The view that computes x for vehicles [B, M] on their flight to links [M] or [B, M]."""
         ...
 
     def state_cost(self, cost: RelayCost, x: Tensor) -> Tensor:
-        """q, [..., L], of x [..., L, d]: the running cost less the control's, zero at rest where the flight ends."""
+        """q, [..., L], at x [..., L, d]: the running cost without its control term, zero at rest at the goal."""
         ...
 
     def hovering(self, weights: Tensor) -> LinearActor:
-        """The policy of weights [L, n3] as it is beside the target, a function of xi."""
+        """The policy with weights [L, n3] near the target, as a function of xi."""
         ...
 
 
 class LinkFrameFeatures:
-    """What bases have in common whose state x is xi."""
+    """Base class for bases with x = xi."""
 
     among_obstacles = False
 
     def view(self, env: Relay, frame: LinkFrame) -> View:
-        """The link frames."""
+        """The view that computes xi."""
         return LinkView(frame)
 
     def state_cost(self, cost: RelayCost, x: Tensor) -> Tensor:
-        """All of q that depends on xi alone."""
+        """The terms of q that depend on xi only."""
         return cost.state(x)
 
 
@@ -72,8 +72,8 @@ class LinkFrameBasis(LinkFrameFeatures):
     """Errors along and across the link through g_L(e) = e / sqrt(1 + e^2/L^2), which saturates at L.
 
     Args:
-        cost: supplies the link cost, itself a critic feature.
-        length_scales_m: the L; infinity gives g(e) = e.
+        cost: running cost; its link term is one of the critic features.
+        length_scales_m: values of L; infinity gives g(e) = e.
     """
 
     def __init__(self, cost: RelayCost, length_scales_m: Sequence[float] = (2.0, math.inf)):
@@ -115,7 +115,7 @@ class LinkFrameBasis(LinkFrameFeatures):
         return torch.cat(features, -1)
 
     def actor(self, xi: Tensor) -> Tensor:
-        """phi3, axis after axis, [..., n3]; the link-frame errors turned into the body frame."""
+        """Actor features phi3, ordered by axis, [..., n3]; the link-frame errors are turned into the body frame."""
         u, v, w, r = xi[..., 4:].unbind(-1)
         c, s = torch.cos(xi[..., 3]), torch.sin(xi[..., 3])
         surge, sway, heave = [], [], []
@@ -127,29 +127,30 @@ class LinkFrameBasis(LinkFrameFeatures):
         return torch.stack([*surge, u, *sway, v, v * u.abs(), *heave, w, s, r, u * v], -1)
 
     def _nearest(self, L: float) -> bool:
-        """Whether L is the scale that governs the approach: the smallest, unless it is infinite."""
+        """Whether L is the scale for the approach to the target: the smallest one, if it is finite."""
         return math.isfinite(L) and min(self.scales) == L
 
     def hovering(self, weights: Tensor) -> LinearActor:
         return LinearActor(self, weights)
 
     def start_weights(self) -> Tensor:
-        """-10 on the smallest finite scale, -0.3 on the others, damping -20, -60 on v|u|; yaw -10 and -3.5."""
+        """Weights: -10 for the smallest finite scale, -0.3 for the others, damping -20, v|u| -60; yaw -10 and -3.5."""
         pulls = [-10.0 if self._nearest(L) else -0.3 for L in self.scales]
         planar = [pull for pull in pulls for _ in range(2)]
         surge, sway, heave, yaw = [*planar, -20.0], [*planar, -20.0, -60.0], [*pulls, -20.0], [-10.0, -3.5, 0.0]
         return torch.tensor([*surge, *sway, *heave, *yaw], dtype=torch.float64)
 
     def bounds(self, inertia_lower: Sequence[float], dt: float) -> Bounds:
-        # Per scale (own axis, other planar axis): without a pull on every own axis far starts crawl in some fits.
+        # Per scale (own axis, other planar axis). Without a minimum pull on the own axis, vehicles that start far away
+        # are very slow with some fits.
         weakest = [(-3.0, -3.0) if self._nearest(L) else (-0.3, 0.0) for L in self.scales]
         along, across = [w for pair in weakest for w in pair], [w for own, other in weakest for w in (other, own)]
         surge, sway, heave = (-inertia / (2.0 * dt) for inertia in inertia_lower[:3])
         yaw = -inertia_lower[3] / dt
         stiffest = [-400.0] * len(along)
         lower = [*stiffest, surge, *stiffest, sway, -100.0, *stiffest[::2], heave, -40.0, yaw, -20.0]
-        # A heading hold: at speed the Munk moment (m_v - m_u) u v turns a vehicle broadside unless sway is damped and
-        # yaw is stiff, and the yaw term of the cost is too small for the data to say so. Without it J ends 12 % higher.
+        # A heading hold: at speed, the Munk moment (m_v - m_u) u v turns a vehicle sideways unless sway is damped and
+        # yaw is stiff. The yaw term of the cost is too small to learn this; without these bounds J is 12 % higher.
         upper = [*along, -2.0, *across, -2.0, -50.0, *along[::2], -2.0, -8.0, -3.0, 20.0]
         return Bounds(torch.tensor(lower, dtype=torch.float64), torch.tensor(upper, dtype=torch.float64))
 
@@ -157,11 +158,11 @@ class LinkFrameBasis(LinkFrameFeatures):
 class ErrorBasis(LinkFrameFeatures):
     """The paper's basis phi2 = e^2, phi3 = 2 e of the body-frame errors; with velocity, e nu, nu^2 and nu are added.
 
-    Without velocity the critic has B' grad V = 0, so no force follows from it: kept to show that it fails.
+    Without velocity, the critic has B' grad V = 0, so the improved force is zero; kept to show that it fails.
 
     Args:
-        cost: as bases are made from; none of its features needs it.
-        velocity: add the velocity features.
+        cost: running cost; not used by these features, but all bases have this argument.
+        velocity: whether to add the velocity features.
     """
 
     def __init__(self, cost: RelayCost | None = None, velocity: bool = True):
@@ -195,7 +196,7 @@ class ErrorBasis(LinkFrameFeatures):
         return LinearActor(self, weights)
 
     def start_weights(self) -> Tensor:
-        """A pull that stays within the thruster limits at 40 m; damping where the basis has velocity."""
+        """A pull within the thruster limits at 40 m; damping if the basis has velocity."""
         restoring = torch.tensor([-0.3, -0.3, -1.5, -0.5], dtype=torch.float64)
         if not self.velocity:
             return restoring

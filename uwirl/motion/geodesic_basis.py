@@ -1,14 +1,14 @@
-"""basis=geodesic: how fast along the way round obstacles is learned from flights among them, not taken from theory.
+"""basis=geodesic: the speed along the route is learned from flights among obstacles, not taken from theory.
 
-Far from the goal surge and sway follow the way at the pace of `uwirl.motion.way_law`, near it the link-frame policy
-takes over, and in between the two blend, f + n = 1 with f far and n near:
+Far from the goal, surge and sway follow the route as in `uwirl.motion.way_law`; near it the link-frame policy takes
+over. In between they are blended with weights f (far) and n (near), f + n = 1:
 
     tau = tau_trim + f (k F u_b + d (nu . n_b) n_b) + n W' phi_lf     surge and sway
     tau = tau_trim + f w glide + n W' phi_lf                          heave
     tau = tau_trim + f (w sin e + w r) + n (w sin psi~ + w r) + w uv  yaw
 
-with u_b the way and n_b across it in body axes, F = sqrt(q / R_b), slowed where askew, and e the error of the heading.
-All of it is linear in the weights k, d, w and W, so that integral reinforcement learning serves it.
+with u_b and n_b unit vectors along and across the route in body axes, F = sqrt(q / R_b), reduced at oblique headings,
+and e the heading error. tau is linear in the weights k, d, w and W, as integral reinforcement learning requires.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from uwirl.world.geometry import left_of, to_body
 from uwirl.world.relay import Relay
 from uwirl.world.vehicle import VehicleState
 
-# Of s(q) = q / sqrt(q + SOFT), which is sqrt(q) but for a slope at q = 0.
+# In s(q) = q / sqrt(q + SOFT), which is sqrt(q) with a finite slope at q = 0.
 SOFT = 0.003
-# Weight of u v to start from, N m s^2/m^2.
+# Start weight of u v, N m s^2/m^2.
 MUNK_START = 6.0
-# The k by which the speed is foreseen that the heading is chosen for.
+# The gain k used to predict the speed for which the heading is chosen.
 NOMINAL_GAIN = 0.577
 
 
 class GeodesicBasis:
-    """Features of the way, and for the last metres those of a link-frame basis.
+    """Features of the route, and those of a link-frame basis for the last metres.
 
     Args:
-        cost: supplies link cost and R.
-        length_scales_m: of the link-frame basis.
-        ways: finds them.
+        cost: running cost; its link term and R are used.
+        length_scales_m: length scales of the link-frame basis.
+        ways: plans the routes.
     """
 
     among_obstacles = True
@@ -62,14 +62,14 @@ class GeodesicBasis:
         self.actor_names = ((*along, *surge), (*along, *sway), ("glide", *heave), (*hold, *yaw))
 
     def _axes(self, x: WayState) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """u_b and n_b, [..., 2], and nu along and across, [...]."""
+        """u_b and n_b, [..., 2], and the velocities along and across the route, [...]."""
         u = torch.stack(to_body(x.way[..., 0], x.way[..., 1], x.xi[..., 3]), -1)
         n = left_of(u)
         nu = x.xi[..., 4:6]
         return u, n, (nu * u).sum(-1), (nu * n).sum(-1)
 
     def critic(self, x: Tensor) -> Tensor:
-        """phi2, [..., n2]."""
+        """Critic features phi2, [..., n2]."""
         seen = WayState.of(x)
         phi, q = seen.phi[..., 0], seen.q[..., 0]
         _, _, along, across = self._axes(seen)
@@ -78,7 +78,7 @@ class GeodesicBasis:
         return torch.cat([self.near.critic(seen.xi), torch.stack(way, -1)], -1)
 
     def actor(self, x: Tensor) -> Tensor:
-        """phi3, axis after axis, [..., n3]."""
+        """Actor features phi3, ordered by axis, [..., n3]."""
         seen = WayState.of(x)
         u, n, _, across = self._axes(seen)
         distance = torch.linalg.vector_norm(seen.xi[..., :2], dim=-1)
@@ -87,7 +87,7 @@ class GeodesicBasis:
         far = 1.0 - near
         force = law.drive(law.pace_cost(seen.q[..., 0], distance), self.cost.R[:2], u)
         along, damped = law.slowed(force, u)[..., None] * u, across[..., None] * n
-        # In the goal's frame, where the bearing is zero.
+        # In the goal's frame, in which the bearing is zero.
         state, zero = VehicleState(seen.xi.movedim(-1, 0)), torch.zeros_like(distance)
         error = law.heading_error(seen.way, state, zero, NOMINAL_GAIN * force)
         surge, sway, heave, yaw = self.near.actor(seen.xi).split(self.near_sizes, -1)
@@ -98,11 +98,11 @@ class GeodesicBasis:
         return torch.cat(features, -1)
 
     def view(self, env: Relay, frame: LinkFrame) -> RouteView:
-        """Of one flight to links [M] or [B, M]."""
+        """The view for a flight to links [M] or [B, M]."""
         return self.ways.view(env, self.cost, frame)
 
     def state_cost(self, cost: RelayCost, x: Tensor) -> Tensor:
-        """q less that of the goal, with the yaw term, [..., L]."""
+        """q minus that of the goal, plus the yaw term, [..., L]."""
         seen = WayState.of(x)
         return seen.q[..., 0] + cost.yaw(seen.xi)
 
@@ -113,24 +113,24 @@ class GeodesicBasis:
         return LinearActor(self.near, torch.cat(near, -1))
 
     def weights(self, near: Tensor, way: Sequence[float], glide: float, heading: Sequence[float]) -> Tensor:
-        """[n3] of those of the link-frame basis, (k, d), the glide's, and the heading's stiffness and damping."""
+        """Weights [n3] from those of the link-frame basis, (k, d), glide damping, and heading stiffness and damping."""
         far = [near.new_tensor(x) for x in (way, way, [glide], heading)]
         parts = zip(far, near.split(self.near_sizes, -1), strict=True)
         return torch.cat([part for pair in parts for part in pair])
 
     def start_weights(self) -> Tensor:
-        """A pace that would be best if drag were linear, and otherwise the link-frame basis' start."""
+        """k = 1, optimal for linear drag; the other weights are the start weights of the link-frame basis."""
         near = self.near.start_weights()
         near[-1] = MUNK_START
         return self.weights(near, (1.0, -100.0), 1.0, (-40.0, -6.0))
 
     def bounds(self, inertia_lower: Sequence[float], dt: float) -> Bounds:
         near = self.near.bounds(inertia_lower, dt)
-        # The Munk moment turns a vehicle broadside, never into its way: a negative weight would only help it.
+        # The Munk moment always turns a vehicle sideways to its route; a negative weight would add to it.
         near.lower[-1] = 0.0
-        # A heading hold while under way, as strong as that moment asks for at speed; softer ones the data praise, from
-        # flights that they led astray (k = 0.8, J a fifth higher in clutter).
-        # k is 0.577 to 1 for drag from quadratic to linear; vehicles seldom fly sideways, which teaches its k badly.
+        # A heading hold that is strong enough for the Munk moment at speed. The data favour softer ones, but they come
+        # from flights which that moment deflected (k = 0.8, J 20 % higher in clutter).
+        # k is 0.577 for quadratic and 1 for linear drag; vehicles seldom fly sideways, so that k is badly determined.
         lower = self.weights(near.lower, (0.4, -200.0), 0.2, (-80.0, -2.0 * inertia_lower[3] / dt))
         upper = self.weights(near.upper, (1.2, -30.0), 3.0, (-40.0, -5.0))
         return Bounds(lower, upper)

@@ -1,4 +1,4 @@
-"""Which way an agent is led to its target: straight, or around obstacles along the eikonal map."""
+"""How an agent is guided to its target: straight, or around obstacles on a route from the eikonal map."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from uwirl.world.agent import Agent
 from uwirl.world.geometry import left_of, to_body
 from uwirl.world.observation import Observation
 
-# Makes of a controller for the last metres an agent that finds there.
+# From a controller for the last metres to an agent that flies the whole distance.
 Lead = Callable[[LinkController], Agent]
-# Leads to a mission's targets.
+# From a mission to such a function.
 Guidance = Callable[[Mission], Lead]
 
 
 def go_straight(controller: LinkController) -> Agent:
-    """The controller itself."""
+    """The controller itself, without a route."""
     return controller
 
 
 class Straight:
-    """guidance=straight."""
+    """guidance=straight: fly directly to the target."""
 
     def __call__(self, mission: Mission) -> Lead:
-        """The way to a mission's targets."""
+        """Guidance to the targets of a mission."""
         return go_straight
 
 
@@ -44,14 +44,14 @@ class Geodesic:
     """guidance=geodesic; straight for a single vehicle in free and still water.
 
     Attributes:
-        gain: k of the pace.
-        lateral_damping: force against the velocity across the way, N s/m.
-        heading_stiffness: moment that turns bow or stern into the way, N m.
-        heading_damping: moment against turning, N m s/rad. Both add to the led controller's: at speed the Munk moment
-            (m_v - m_u) u v turns a vehicle broadside if yaw is held as softly as is best at the goal.
+        gain: k of the force along the route.
+        lateral_damping: force against the velocity across the route, N s/m.
+        heading_stiffness: moment that turns the bow or the stern into the route, N m.
+        heading_damping: moment against turning, N m s/rad. Both are added to those of the controller: with the soft yaw
+            control that is best at the goal, the Munk moment (m_v - m_u) u v would turn a fast vehicle sideways.
         spacing_m, exponent, hard_clearance_m: of the map, see MapSettings.
-        margin_m: clearance below which no way leads, m.
-        law: along the way.
+        margin_m: smallest clearance of a route, m.
+        law: control law along the route.
     """
 
     gain: float = 0.577
@@ -66,11 +66,11 @@ class Geodesic:
 
     @property
     def map_settings(self) -> MapSettings:
-        """Of the router."""
+        """Settings of the eikonal map."""
         return MapSettings(self.spacing_m, self.exponent, self.hard_clearance_m)
 
     def __call__(self, mission: Mission) -> Lead:
-        """The way to a mission's targets."""
+        """Guidance to the targets of a mission."""
         scenario = mission.env.scenario
         if scenario.obstacles.number == 0 and scenario.vehicles == 1 and scenario.current.is_still:
             return go_straight
@@ -80,11 +80,11 @@ class Geodesic:
 
 
 class RouteCarry(NamedTuple):
-    """What a led vehicle remembers.
+    """Memory of a guided vehicle.
 
     Attributes:
-        route: obstacles that it knows, and its plan.
-        push: against a current, in the inertial frame, [B, M, 2], N.
+        route: known obstacles, and the planned route.
+        push: force against a current, in the inertial frame, [B, M, 2], N.
     """
 
     route: Route
@@ -92,30 +92,30 @@ class RouteCarry(NamedTuple):
 
     @property
     def blocked(self) -> Tensor:
-        """Whether no way led to the vehicle's own target when last looked for, [B, M]."""
+        """Whether the newest plan found no free route to the vehicle's target, [B, M]."""
         return self.route.blocked
 
     @property
     def target(self) -> Tensor:
-        """Where each vehicle means to go, [B, M, 3], m."""
+        """Goal of each vehicle's route, which it announces to the others, [B, M, 3], m."""
         return self.route.goal
 
     @classmethod
     def begin(cls, route: Route, like: Tensor) -> RouteCarry:
-        """With no push yet, of the dtype of poses [B, M, 4]."""
+        """A carry with this route and zero push, with the dtype of poses [B, M, 4]."""
         return cls(route, torch.zeros_like(like[..., :2]))
 
 
 @dataclass(frozen=True)
 class GeodesicAgent:
-    """Surge and sway along the way; heave and yaw from the controller that also takes over near the goal.
+    """Follows the route in surge and sway; heave and yaw are from the controller that also takes over near the goal.
 
     Attributes:
-        near: for the last metres.
-        tracker: knows the way.
+        near: controller for the last metres.
+        tracker: plans the route.
         cost: running cost on the estimated channel.
-        settings: as named.
-        dt: s.
+        settings: gains and map settings.
+        dt: time step, s.
     """
 
     near: LinkController
@@ -125,7 +125,7 @@ class GeodesicAgent:
     dt: float
 
     def init(self, observation: Observation) -> RouteCarry:
-        """A first plan."""
+        """Plan the first route."""
         return RouteCarry.begin(self.tracker.begin(observation), observation.eta)
 
     def act(self, carry: RouteCarry, observation: Observation) -> tuple[Tensor, RouteCarry]:
@@ -143,7 +143,7 @@ class GeodesicAgent:
         return torch.cat([tau[..., :2] + force, tau[..., 2:]], -1), RouteCarry(route, push)
 
     def _along(self, route: Route, observation: Observation, way: Tensor, distance: Tensor) -> Tensor:
-        """tau [B, M, 4] that follows the unit vectors of the ways [B, M, 2] at the best pace."""
+        """tau [B, M, 4] that follows the routes, given by unit vectors [B, M, 2], at the best speed."""
         settings, law, bearing = self.settings, self.settings.law, self.near.frame.bearing
         psi, nu = observation.eta[..., 3], observation.nu
         u = torch.stack(to_body(way[..., 0], way[..., 1], psi), -1)

@@ -15,11 +15,11 @@ from uwirl.world.relay import Relay
 
 @dataclass(frozen=True)
 class IrlPlanner(IrlSettings):
-    """Learns by flying; what it learns stands in the state of a `Learning`, not in here."""
+    """Learns by flying; the results are in the state of a `Learning`, not in this object."""
 
     @torch.no_grad()
     def fit(self, env: Relay, estimate: ChannelEstimate) -> Agent:
-        """Learn to the end; `uwirl.algorithm` has the same loop, watched."""
+        """Learn until the weights settle or the time is up; `uwirl.algorithm` has the same loop with events."""
         learning = Learning(self, env, estimate)
         state = learning.init()
         while not learning.is_over(state):

@@ -15,32 +15,32 @@ from uwirl.world.agent import Guard
 
 
 def z_rls(operator: BellmanOperator, bounds: Bounds) -> Solver:
-    """solver=z_rls: exact and recursive, within bounds that keep the actor a damped convex potential."""
+    """solver=z_rls: exact and recursive, with bounds that keep the actor a damped convex potential."""
     return ZRecursiveLeastSquares(operator, bounds, ridge=1e-7, prior=1e-3)
 
 
 @dataclass(frozen=True)
 class IrlSettings:
-    """The settings of learning; what is learned stands in the state of a `Learning`.
+    """Settings of learning; the learned weights are in the state of a `Learning`.
 
     Attributes:
         cost: weights of the running cost.
-        basis: features of critic and actor for a running cost.
-        solver: from the Bellman operator and the actor's bounds.
-        experience: where experience comes from.
-        guard: between policy and thrusters while learning; an EnergyGuard if None.
-        guidance: the mission's way to the target; virtual links are flown to straight.
-        inertia_lower: declared lower bound of each axis' inertia, kg, kg m^2: all the learner is told of the dynamics.
+        basis: function of a running cost, returns the features of critic and actor.
+        solver: function of the Bellman operator and the actor's bounds, returns the solver.
+        experience: source of experience.
+        guard: guard between policy and thrusters while learning; an EnergyGuard if None.
+        guidance: guidance to the target in missions; vehicles fly straight to virtual links.
+        inertia_lower: lower bound of the inertia of each axis, kg, kg m^2: the only given fact about the dynamics.
         start_gain: scales the start policy.
         calibration_s: duration of the calibration hover, s; it counts as vehicle time.
         window_s: T of the integration windows, s.
-        stride_s: between the beginnings of two windows, s.
+        stride_s: time between the beginnings of two windows, s.
         residual_floor: see Recorder.
         updates: policy iterations after each leg.
         actor_sign: "corrected", or "printed" as in the paper, which fails.
-        tolerance_weights: epsilon_3.
-        tolerance_inverse_capacity: epsilon_4, s/kbit.
-        max_time_s: T_max,2, of vehicle time, s.
+        tolerance_weights: epsilon_3, relative change of the weights at which learning stops.
+        tolerance_inverse_capacity: epsilon_4, change of 1/C that counts as converged, s/kbit.
+        max_time_s: T_max,2, largest vehicle time, s.
     """
 
     cost: CostWeights = field(default_factory=CostWeights)
@@ -63,5 +63,5 @@ class IrlSettings:
 
     @property
     def sign(self) -> float:
-        """Of the actor's part in the Bellman equation."""
+        """Sign of the actor's part in the Bellman equation."""
         return -1.0 if self.actor_sign == "corrected" else 1.0

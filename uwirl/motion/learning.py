@@ -1,4 +1,4 @@
-"""A mission's second stage as it is learned: the problem, fixed by the estimate, and a state, leg after leg."""
+"""Stage 2 as a learning process: a fixed problem, defined by the estimate, and a state that changes with each leg."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from uwirl.world.relay import Relay
 
 
 class LearningState(NamedTuple):
-    """What is known when a leg of the learning flight is over: enough to go on as if never interrupted, bitwise.
+    """State after a leg of the learning flight; enough to continue bitwise as without interruption.
 
     Attributes:
-        flight: where the flight stands.
-        learner: what was learned.
+        flight: state of the flight.
+        learner: state of the learner.
         trim: tau that holds a vehicle at rest, as measured, [L, 4].
-        start: weights that learning started from, [L, n3].
-        seconds: of vehicle time, s.
-        contacts: with obstacles while learning.
+        start: start weights, [L, n3].
+        seconds: vehicle time so far, s.
+        contacts: number of contacts with obstacles so far.
     """
 
     flight: FlightState
@@ -55,9 +55,9 @@ class IterationRecord:
         critic: weights [L, n2].
         actor: weights of the improved policy, [L, n3].
         weight_change: relative change of the actor's weights, the largest over the learners.
-        converged: epsilon_3 holds.
-        rows: of experience so far, for each learner.
-        closes: whether it is the last of its leg.
+        converged: whether the change is below epsilon_3.
+        rows: rows of experience so far, for each learner.
+        closes: whether this is the last iteration of its leg.
     """
 
     iteration: int
@@ -76,7 +76,7 @@ class Learning:
     Args:
         planner: its settings.
         env: the worlds to fly in.
-        estimate: the channel to count on.
+        estimate: the channel estimate to plan with.
     """
 
     def __init__(self, planner: IrlSettings, env: Relay, estimate: ChannelEstimate):
@@ -84,7 +84,7 @@ class Learning:
         self.guard = planner.guard or EnergyGuard(Limits.of(env))
         self.mission = Mission(env, estimate.channel, planner.cost)
         self.learners = planner.experience.learners(env)
-        # One row a learner, as segments have them; hops are equal, so that one learner serves all vehicles.
+        # One row per learner, as in segments; all hops are equal, so one learner can be used for all vehicles.
         device = self.mission.targets.neighbours.device
         self.cost = self.mission.cost.of(torch.arange(self.learners, device=device))
         self.basis: MotionBasis = planner.basis(self.cost)
@@ -98,10 +98,10 @@ class Learning:
         """Hover, to measure the trim.
 
         Args:
-            weights: to start from, [L, n3]; None for those of the basis, times start_gain.
+            weights: start weights, [L, n3]; None for those of the basis, times start_gain.
 
         Raises:
-            InadmissiblePolicyError: the start policy does not bring the cost down.
+            InadmissiblePolicyError: the cost grows with the start policy.
         """
         planner, device = self.planner, self.mission.targets.neighbours.device
         if weights is None:
@@ -117,21 +117,21 @@ class Learning:
         return LearningState(flight, learner, trim, start, planner.calibration_s, contacts_while(self.env, hover))
 
     def fly(self, state: LearningState) -> tuple[Leg, LearningState]:
-        """The next leg, with the newest weights, and the state after it, which has not learned from it yet."""
+        """Fly the next leg with the newest weights; the returned state has not learned from it yet."""
         actor = LinearActor(self.basis, state.learner.actor)
         leg = self.planner.experience.fly(self.env, state.flight, actor, self._recorder(state), self.guard)
         contacts = state.contacts + leg.contacts
         return leg, state._replace(flight=leg.after, seconds=state.seconds + leg.seconds, contacts=contacts)
 
     def improve(self, state: LearningState, leg: Leg) -> LearningState:
-        """Evaluate the policy by what was flown, and improve it, `updates` times."""
+        """Evaluate the policy with the experience of a leg and improve it, `updates` times."""
         return state._replace(learner=self.iteration.update(state.learner, leg.batch))
 
     def is_over(self, state: LearningState) -> bool:
         """Whether the weights have settled, or the time is up.
 
         Raises:
-            InsufficientDataError: the time was up with fewer rows than unknowns.
+            InsufficientDataError: the time is up, with fewer rows than unknowns.
         """
         late = state.flight.leg > 0 and state.seconds >= self.planner.max_time_s
         learner = state.learner
@@ -143,7 +143,7 @@ class Learning:
         return late or learner.settled
 
     def records(self, state: LearningState) -> list[IterationRecord]:
-        """Of the policy iterations after the newest leg."""
+        """Records of the policy iterations after the newest leg."""
         learner = state.learner
         last = len(learner.iterates) - 1
         return [
@@ -161,13 +161,13 @@ class Learning:
         ]
 
     def agent(self, weights: Tensor, trim: Tensor, env: Relay | None = None) -> Agent:
-        """The agent with some weights.
+        """The agent with given weights.
 
         Args:
-            weights: of the actor, [L, n3].
+            weights: actor weights, [L, n3].
             trim: tau that holds a vehicle at rest, [1 or L, 4].
-            env: other worlds between the same nodes to lead it in, with as many vehicles, or with any number if the
-                weights are one set for all; these worlds if None.
+            env: worlds to fly in, between the same nodes, with the same number of vehicles, or with any number if
+                there is one set of weights; the worlds of learning if None.
         """
         mission = self.mission if env is None else Mission(env, self.mission.channel, self.mission.weights)
         near = LinkController(mission.targets.frame, LinearActor(self.basis, weights), trim)

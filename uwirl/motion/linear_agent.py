@@ -15,37 +15,37 @@ from uwirl.world.vehicle import Moving
 
 
 class View(Protocol):
-    """What a linear agent makes of its observations: the state x of its basis. Pure, as agents are."""
+    """Computes the state x of a linear agent's basis from its observations. Pure, like agents."""
 
     def init(self, observation: Observation) -> Any:
-        """What is remembered at the beginning of a flight."""
+        """The carry at the beginning of a flight."""
         ...
 
     def see(self, carry: Any, observation: Observation) -> tuple[Tensor, Any]:
-        """x in flight, [B, M, d], and what is remembered then."""
+        """x of an observation, [B, M, d], and the next carry."""
         ...
 
     def along(self, carry: Any, trajectory: Trajectory) -> Tensor:
-        """x of a flight that is over, [n + 1, B, M, d], by what was remembered at its end."""
+        """x of a completed flight, [n + 1, B, M, d], with the carry at its end."""
         ...
 
 
 @dataclass(frozen=True)
 class LinkView:
-    """Sees xi, where a vehicle is relative to its link; remembers nothing."""
+    """Computes xi, the state of a vehicle relative to its link; without memory."""
 
     frame: LinkFrame
 
     def init(self, observation: Observation) -> tuple[()]:
-        """Nothing."""
+        """The empty carry."""
         return ()
 
     def see(self, carry: tuple[()], observation: Observation) -> tuple[Tensor, tuple[()]]:
-        """xi [B, M, 8]."""
+        """xi [B, M, 8] of an observation."""
         return self.frame.relative(observation), carry
 
     def along(self, carry: tuple[()], trajectory: Trajectory) -> Tensor:
-        """xi [n + 1, B, M, 8]."""
+        """xi [n + 1, B, M, 8] of a trajectory."""
         return self.frame.relative(trajectory.states)
 
 
@@ -53,7 +53,7 @@ def linear_control(actor: LinearActor, trim: Tensor, x: Tensor) -> Tensor:
     """tau = tau_trim + W' phi3(x), [B, M, 4] at x [B, M, d].
 
     Args:
-        actor: its L weight rows belong to L = B M vehicles, or one row to all of them.
+        actor: actor with L = B M rows of weights, one per vehicle, or with one row for all.
         trim: tau that holds the vehicle at rest, [4] or [L, 4].
         x: state of the actor's basis.
     """
@@ -62,13 +62,13 @@ def linear_control(actor: LinearActor, trim: Tensor, x: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class LinearAgent:
-    """tau = tau_trim + W' phi3(x), and what excites it.
+    """tau = tau_trim + W' phi3(x), plus an excitation for learning.
 
     Attributes:
-        view: sees x; the agent remembers what the view does.
+        view: computes x; its carry is the agent's carry.
         actor, trim: see `linear_control`.
-        excitation: added to the control of each step, [n, B, M, 4]; None for none.
-        first_step: the step that the excitation begins with.
+        excitation: added to the control at each step, [n, B, M, 4]; None for none.
+        first_step: step of the first excitation.
     """
 
     view: View
@@ -78,25 +78,25 @@ class LinearAgent:
     first_step: int = 0
 
     def init(self, observation: Observation) -> Any:
-        """That of the view."""
+        """The carry of the view."""
         return self.view.init(observation)
 
     def act(self, carry: Any, observation: Observation) -> tuple[Tensor, Any]:
-        """tau [B, M, 4]."""
+        """tau [B, M, 4] and the next carry."""
         x, carry = self.view.see(carry, observation)
         tau = linear_control(self.actor, self.trim, x)
         if self.excitation is None:
             return tau, carry
-        # By a tensor of one index: as a number it would have to come from the device first.
+        # Indexed by a tensor: a number would first have to be copied from the device.
         return tau + self.excitation.index_select(0, observation.step[:1] - self.first_step)[0], carry
 
 
 @dataclass(frozen=True)
 class LinkController:
-    """tau = tau_trim + W' phi3(xi) towards a link's target: no memory, so it serves others as a part, too.
+    """tau = tau_trim + W' phi3(xi) towards a link's target; without memory, so other agents can use it as a part.
 
     Attributes:
-        frame: of [M] or [B, M] vehicles.
+        frame: link frames of [M] or [B, M] vehicles.
         actor, trim: see `linear_control`.
     """
 
@@ -105,17 +105,17 @@ class LinkController:
     trim: Tensor
 
     def control(self, state: Moving) -> Tensor:
-        """tau [B, M, 4] at a state [B, M]."""
+        """tau [B, M, 4] for a state [B, M]."""
         return linear_control(self.actor, self.trim, self.frame.relative(state))
 
     def towards(self, frame: LinkFrame) -> LinkController:
-        """The same to another target."""
+        """The same controller with another target."""
         return LinkController(frame, self.actor, self.trim)
 
     def init(self, observation: Observation) -> tuple[()]:
-        """Nothing is remembered."""
+        """The empty carry."""
         return ()
 
     def act(self, carry: tuple[()], observation: Observation) -> tuple[Tensor, tuple[()]]:
-        """tau [B, M, 4]."""
+        """tau [B, M, 4] and the next carry."""
         return self.control(observation), carry

@@ -1,4 +1,4 @@
-"""Where a vehicle is relative to its link: the coordinates in which stage 2 learns.
+"""State of a vehicle relative to its link: the coordinates in which stage 2 learns.
 
 The dynamics do not change under translation and yaw, so a vehicle's problem depends only on its pose relative to its
 link:
@@ -38,12 +38,12 @@ class LinkFrame(NamedTuple):
         return cls(eta[..., :3] - turned_to_inertial(pose[..., :3], bearing), bearing)
 
     def within(self, depth: float) -> LinkFrame:
-        """With the target kept off surface and floor, by a twentieth of the depth in m."""
+        """The frame with its target kept at least depth / 20 from surface and floor; depth in m."""
         x, y, z = self.target.unbind(-1)
         return LinkFrame(torch.stack([x, y, z.clamp(-0.95 * depth, -0.05 * depth)], -1), self.bearing)
 
     def relative(self, state: Moving) -> Tensor:
-        """xi [..., M, 8] of a state [..., M]."""
+        """xi [..., M, 8] for a state [..., M]."""
         x, y, z, psi = state.eta.unbind(-1)
         along, across = to_body(x - self.target[..., 0], y - self.target[..., 1], self.bearing)
         pose = along, across, z - self.target[..., 2], psi - self.bearing
@@ -51,19 +51,19 @@ class LinkFrame(NamedTuple):
 
 
 def relabel(xi: Tensor, pose: Tensor) -> Tensor:
-    """The same motion seen from another frame, in which it starts at another pose.
+    """The same motion in another frame, in which it starts at a given pose.
 
     Args:
         xi: [n + 1, ..., 8].
         pose: (e_par, e_perp, e_z, psi~) of the first sample in the new frame, [..., 4].
 
     Returns:
-        [n + 1, ..., 8]; velocities are body-fixed and stay.
+        [n + 1, ..., 8]; velocities are body-fixed and unchanged.
     """
     moved = xi[..., :4] - xi[:1, ..., :4]
     turn = pose[..., 3] - xi[0, ..., 3]
     c, s = torch.cos(turn), torch.sin(turn)
-    # Summed in this order, and not by `to_inertial`, to the last bit as what was learned before.
+    # Summed in this order, not by `to_inertial`, so that results stay equal to earlier ones to the last bit.
     along = pose[..., 0] + c * moved[..., 0] - s * moved[..., 1]
     across = pose[..., 1] + s * moved[..., 0] + c * moved[..., 1]
     return torch.cat(

@@ -1,4 +1,4 @@
-"""What the vehicles are to do on a channel: where each should be, and what it costs not to be there."""
+"""A mission: target positions of the vehicles for a channel, and the running cost."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from uwirl.world.relay import Relay
 
 @dataclass(frozen=True)
 class Mission:
-    """One chain to be formed.
+    """The task to form one relay chain.
 
     Attributes:
         env: the worlds.
-        channel: to count on: an estimate's when planning, the true one when judging.
-        weights: of the running cost.
+        channel: estimated channel for planning, true channel for evaluation.
+        weights: weights of the running cost.
     """
 
     env: Relay
@@ -27,14 +27,14 @@ class Mission:
 
     @cached_property
     def targets(self) -> ChainTargets:
-        """Where the vehicles carry most.
+        """Positions of the vehicles with the largest chain capacity.
 
         Raises:
-            NoTargetError: on this channel there is no such place.
+            NoTargetError: this channel has no such positions.
         """
         return mean_channel_targets(self.env.scenario, self.channel)
 
     @cached_property
     def cost(self) -> RelayCost:
-        """The running cost, which refers to these targets."""
+        """The running cost relative to these targets."""
         return RelayCost(self.channel, self.targets.neighbours, self.weights, self.env.vehicle.tau_max)

@@ -10,6 +10,6 @@ from uwirl.world.relay import Relay
 
 
 class Planner(Protocol):
-    """Finds an agent; may fly in `env` to learn, but knows of the channel what the estimate and the budget tell."""
+    """Finds an agent. It may fly in `env` to learn, but knows the channel only through estimate and budget."""
 
     def fit(self, env: Relay, estimate: ChannelEstimate) -> Agent: ...

@@ -1,4 +1,4 @@
-"""From what was flown to what can be learned from: windows of integral reinforcement."""
+"""From flown trajectories to the learner's data: windows of integral reinforcement."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from uwirl.world.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Window:
-    """Windows of integral reinforcement: T = steps x dt, one every stride x dt."""
+    """Windows of integral reinforcement: T = steps x dt, a new one begins every stride x dt."""
 
     steps: int
     stride: int
@@ -25,14 +25,14 @@ class Recorder:
     """Turns trajectories into segments for the learner.
 
     Attributes:
-        basis: features.
-        operator: Bellman operator of that basis.
+        basis: features of critic and actor.
+        operator: Bellman operator of this basis.
         cost: the learner's running cost.
         trim: tau_trim, [L, 4].
         window: integration windows.
-        residual_floor: a window's equation is divided by its mean cost plus this share of the cost scale. Otherwise the
-            windows far from the target, where cost is a hundred times larger, decide all weights alone.
-        depth: of the water, m.
+        residual_floor: a window's equation is divided by its mean cost plus this fraction of the cost scale. Otherwise
+            windows far from the target, with a hundred times the cost, would dominate the fit.
+        depth: water depth, m.
     """
 
     basis: MotionBasis
@@ -44,9 +44,9 @@ class Recorder:
     depth: float
 
     def segment(self, x: Tensor, flown: Trajectory, dt: float) -> Segment:
-        """Windows [S, L] of x [n + 1, L, d] under the held tau of a trajectory.
+        """Windows [S, L] of x [n + 1, L, d] and the held tau of a trajectory.
 
-        Windows in which a vehicle touches surface or floor count for nothing: these push too.
+        Windows in which a vehicle touches surface or floor have zero weight, because these exert forces too.
         """
         segment = self.operator.segment(
             self.basis.critic(x),

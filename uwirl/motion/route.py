@@ -1,14 +1,15 @@
-"""Which way round the obstacles: an eikonal map of the horizontal plane for each vehicle.
+"""Route planning around obstacles: an eikonal map of the horizontal plane for each vehicle.
 
     q(p) = E_L(p) - E_L,min + beta_2 E_O(p),   w = (q - q(goal) + 0.001)^0.75,   |grad Phi| = w
 
-With quadratic drag the best pace makes the cost of a metre grow as q^(2/3), with linear drag as q^(1/2); 0.75 was found
-best in clutter, where speed must be taken off before a turn. Closer to an obstacle than a hard clearance w is large but
-finite and falls outwards, so that the gradient leads out.
+q is the cost rate of a position and w, the slowness, the cost per metre. At the optimal speed, w is proportional to
+q^(2/3) with quadratic drag and to q^(1/2) with linear drag; 0.75 was found to be best in clutter, where a vehicle must
+slow down before a turn. Closer to an obstacle than a hard clearance, w is large but finite and decreases outwards, so
+that the gradient leads away from the obstacle.
 
-The goal is the link's target, or, where an obstacle's influence reaches it, the place near it with the least q, which
-is paid for ever, that still has the capacity. Where no way leads there, it is the place of least q that can be reached,
-and the vehicle is `blocked`.
+The goal is the link's target. If the target is within an obstacle's influence radius, the goal is the nearby place with
+the least q, which is paid as long as the vehicle stays, that still has almost the same capacity. If no free route leads
+there, the goal is the reachable place with the least q, and the vehicle is `blocked`.
 """
 
 from __future__ import annotations
@@ -28,31 +29,31 @@ from uwirl.world.scenario import Scenario
 from uwirl.world.vehicle import VehicleState
 
 OFFSET = 0.001
-BORDER = 8.0  # m, around everything that a map must hold
-# The goal is sought this far around the link's target, at this spacing, with this clearance, m,
+BORDER = 8.0  # m, around everything that a map must contain
+# The goal is searched within this distance of the link's target, at this spacing, with this clearance, m,
 GOAL_REACH, GOAL_SPACING, GOAL_CLEARANCE = 5.0, 0.1, 0.5
-# and with so little of the target's capacity lost that 99 % are reached. Where a neighbour may give way as well, across
-# the link to the other side, the same hop bears a quarter of the loss only.
+# and with so small a loss of capacity that 99 % are still reached. In a chain, a neighbour may deviate to the other
+# side of the link; then only a quarter of this loss is allowed for the same hop.
 GOAL_LOSS = 0.008
-# A drifting obstacle is met where it will be when a vehicle at this speed gets there, but not later than the horizon.
+# A drifting obstacle is put where it will be when a vehicle at this speed arrives, at most this horizon ahead.
 MEETING_SPEED, MEETING_HORIZON = 1.0, 15.0  # m/s, s
-# Maps solved together; more gain little.
+# Maps solved together; more would hardly be faster.
 BATCH = 32
 
 
 def link_cost(frame: LinkFrame, cost: RelayCost, position: Tensor) -> Tensor:
-    """E_L - E_L,min of places [..., M, 3] with the heading of the link, [..., M], never negative."""
+    """E_L - E_L,min at places [..., M, 3], [..., M], never negative."""
     eta = torch.cat([position, frame.bearing[..., None].expand_as(position[..., :1])], -1)
     return cost.link(frame.relative(VehicleState.from_eta_nu(eta))).clamp_min(0.0)
 
 
 class RoutePlan(NamedTuple):
-    """Where K vehicles are to go, and along what.
+    """Goals of K vehicles, and the maps that lead there.
 
     Attributes:
         goal: [K, 3], m.
         rest_cost: q at the goal, [K].
-        blocked: whether no way leads to the vehicle's own target, [K].
+        blocked: whether no free route leads to the vehicle's target, [K].
         map: K maps of the horizontal plane.
     """
 
@@ -62,7 +63,7 @@ class RoutePlan(NamedTuple):
     map: GridMap
 
     def replaced(self, index: Tensor, others: RoutePlan) -> RoutePlan:
-        """With other plans at index [K']; these stay as they are."""
+        """A copy with other plans at index [K']."""
         goal, rest_cost, blocked = (
             old.index_copy(0, index, new) for old, new in zip(self[:3], others[:3], strict=True)
         )
@@ -71,12 +72,12 @@ class RoutePlan(NamedTuple):
 
 @dataclass(frozen=True)
 class MapSettings:
-    """How a place's cost becomes slowness.
+    """Settings of the eikonal maps: from the cost of a place to its slowness.
 
     Attributes:
         spacing_m: h, m.
-        exponent: of q; 0 gives the shortest way.
-        hard_clearance_m: closer to an obstacle w is that of its inside, m.
+        exponent: exponent of q; 0 gives the shortest route.
+        hard_clearance_m: closer to an obstacle than this, w is as large as inside it, m.
     """
 
     spacing_m: float = 0.5
@@ -85,14 +86,14 @@ class MapSettings:
 
 
 class Router:
-    """Plans ways, in float64, on one grid that holds everything.
+    """Plans routes, in float64, on one grid for the whole arena.
 
     Args:
         scenario: nodes, starts and obstacles.
-        frame: the targets', [M] or [B, M].
+        frame: link frames of the targets, [M] or [B, M].
         cost: running cost on the estimated channel.
-        margin_m: clearance below which no way leads, m.
-        settings: of the map.
+        margin_m: smallest clearance of a route, m.
+        settings: settings of the maps.
     """
 
     def __init__(self, scenario: Scenario, frame: LinkFrame, cost: RelayCost, margin_m: float, settings: MapSettings):
@@ -101,7 +102,7 @@ class Router:
         spacing_m = settings.spacing_m
         self.margin = margin_m
         self.loss = GOAL_LOSS if scenario.vehicles == 1 else GOAL_LOSS / 4.0
-        # One row a target: all worlds share them, or each has its own.
+        # One row per target: shared by all worlds, or one set for each world.
         self.frame = LinkFrame(frame.target.double().flatten(0, -2), frame.bearing.double().flatten())
         self.targets = len(self.frame.bearing)
         self.cost = cost.of(torch.arange(self.targets, device=frame.bearing.device))
@@ -112,13 +113,13 @@ class Router:
         self.link = link_cost(self.frame, self.cost, places).T
 
     def plan(self, vehicle: Tensor, position: Tensor, obstacles: Obstacles, time: Tensor) -> RoutePlan:
-        """Plans of some vehicles, as far as they know the obstacles.
+        """Plans for some vehicles, with the obstacles that each of them knows.
 
         Args:
             vehicle: their numbers among the B M, [K].
-            position: horizontally, [K, 2], m.
-            obstacles: those that each knows, fields [K, O].
-            time: of each, [K], s.
+            position: horizontal positions, [K, 2], m.
+            obstacles: known obstacles of each vehicle, fields [K, O].
+            time: time in the world of each vehicle, [K], s.
         """
         now = obstacles._replace(centre=obstacles.centre + obstacles.velocity * time[:, None, None])
         row = vehicle % self.targets
@@ -133,7 +134,7 @@ class Router:
         goal = self._goal(row, obstacles)
         clearance, avoidance = self._around(self.plane.expand(len(row), -1, 2), obstacles, position)
         q = self.link[row] + avoidance
-        # Pressed against the guard, a vehicle may be closer than the margin: what is as tight as here is passable.
+        # A vehicle at the guard may be closer than the margin: gaps as narrow as its present one count as passable.
         here = self._around(position[:, None], obstacles)[0]
         inflation = self.radius + (here - 1e-6).clamp_max(self.margin)
         blocked = separated(obstacles, inflation, position, goal[:, :2])
@@ -151,7 +152,7 @@ class Router:
         return RoutePlan(goal, rest_cost, blocked, route)
 
     def _goal(self, row: Tensor, obstacles: Obstacles) -> Tensor:
-        """The place of least q near each target, [K, 3]; the target itself where no influence reaches it."""
+        """The place of least q near each target, [K, 3]; the target itself outside all influence radii."""
         goal = self.frame.target[row]
         clearance, avoidance = self._around(goal[:, None, :2], obstacles)
         disturbed = (avoidance > 0.0) | (clearance < GOAL_CLEARANCE)
@@ -171,20 +172,21 @@ class Router:
         return goal
 
     def _cost_at(self, row: Tensor, place: Tensor, obstacles: Obstacles) -> Tensor:
-        """q of a place [K, 3] for each target [K], among the obstacles of K worlds or of one."""
+        """q at a place [K, 3] for each target [K], among the obstacles of K worlds or of one."""
         return self._link_at(row, place) + self._around(place[:, None, :2], obstacles)[1][:, 0]
 
     def _link_at(self, row: Tensor, place: Tensor) -> Tensor:
-        """E_L - E_L,min of a place [K, 3] for each target [K]."""
+        """E_L - E_L,min at a place [K, 3] for each target [K]."""
         return link_cost(LinkFrame(self.frame.target[row], self.frame.bearing[row]), self.cost.of(row), place)
 
     def _around(self, places: Tensor, obstacles: Obstacles, start: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Clearance and avoidance term of places [K, n, 2], [K, n] each.
+        """Clearance and avoidance term at places [K, n, 2], [K, n] each.
 
         Args:
             places: m.
-            obstacles: of K worlds.
-            start: where each vehicle sets out, [K, 2]: obstacles then are where it meets them; None for where they are.
+            obstacles: obstacles of K worlds.
+            start: position of each vehicle, [K, 2], to predict where it meets drifting obstacles; None to use their
+                present positions.
         """
         if obstacles.number == 0:
             return places.new_full(places.shape[:-1], torch.inf), places.new_zeros(places.shape[:-1])
@@ -192,7 +194,7 @@ class Router:
         if start is not None and bool(obstacles.velocity.any()):
             way = torch.linalg.vector_norm(places - start[:, None], dim=-1)
             time = (way / MEETING_SPEED).clamp_max(MEETING_HORIZON)
-        # Places take the place of worlds, with one vehicle each.
+        # Places are treated as worlds with one vehicle each.
         each = obstacles.each(lambda field: field[:, None])
         l = each.distance(places[:, :, None], time)[..., 0, :]
         gap = (l - each.radius).amin(-1) - self.radius
@@ -200,7 +202,7 @@ class Router:
 
 
 def _extent(scenario: Scenario, frame: LinkFrame, spacing: float) -> tuple[Tensor, list[int]]:
-    """Origin [2] and numbers of nodes of the grid that holds nodes, starts, targets and obstacles."""
+    """Origin [2] and size of the grid that contains nodes, starts, targets and obstacles."""
     obstacles = scenario.obstacles
     here = obstacles.present
     reach = (obstacles.radius[here] + BORDER).double()[:, None]
@@ -213,10 +215,10 @@ def _extent(scenario: Scenario, frame: LinkFrame, spacing: float) -> tuple[Tenso
 
 
 def _at_depth(plane: Tensor, target: Tensor) -> Tensor:
-    """Places [..., 2] at the depth of targets [..., 3]."""
+    """Places [..., 2] with the depth of targets [..., 3], as [..., 3]."""
     return torch.cat([plane, target[..., 2:].expand(*plane.shape[:-1], 1)], -1)
 
 
 def _one(obstacles: Obstacles, k: int) -> Obstacles:
-    """Those of world k, [1, O]."""
+    """The obstacles of world k, [1, O]."""
     return obstacles.each(lambda field: field[k : k + 1])

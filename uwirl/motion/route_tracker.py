@@ -1,4 +1,4 @@
-"""What each vehicle knows of the obstacles, and the route that it has planned among them, kept up to date in flight."""
+"""The obstacles known to each vehicle and its planned route, updated in flight."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from uwirl.world.obstacles import Obstacles
 from uwirl.world.scenario import Scenario
 from uwirl.world.vehicle import Moving
 
-# How often obstacles are looked for, and how often the ways past drifting ones are planned anew, s.
+# Period of obstacle detection, and period of planning when obstacles drift, s.
 LOOK_PERIOD, REPLAN_PERIOD = 0.5, 1.0
 
 
 class Route(NamedTuple):
-    """What B M vehicles remember of obstacles, and their plans; plans that are the same in all worlds are kept once.
+    """Known obstacles and plans of B M vehicles; plans that are equal in all worlds are stored once.
 
     Attributes:
-        obstacles: as each vehicle knows them, fields [B M, O(, 2)].
-        plan: of M vehicles, or of B M.
-        looked: the step at which each world's vehicles last looked for obstacles, int64 [B].
+        obstacles: known obstacles of each vehicle, fields [B M, O(, 2)].
+        plan: plans of M or B M vehicles.
+        looked: step of the last obstacle detection in each world, int64 [B].
     """
 
     obstacles: Obstacles
@@ -33,13 +33,13 @@ class Route(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """B, M."""
+        """Numbers of worlds and vehicles, B and M."""
         B = len(self.looked)
         return B, len(self.obstacles.radius) // B
 
     @property
     def goal(self) -> Tensor:
-        """[B, M, 3], m."""
+        """Goals, [B, M, 3], m."""
         return self.plan.goal.view(-1, self.shape[1], 3).expand(*self.shape, 3)
 
     @property
@@ -49,30 +49,30 @@ class Route(NamedTuple):
 
     @property
     def blocked(self) -> Tensor:
-        """Whether no way led to the vehicle's own target when last looked for, [B, M]."""
+        """Whether the newest plan found no free route to the vehicle's target, [B, M]."""
         return self.plan.blocked.view(-1, self.shape[1]).expand(self.shape)
 
     def direction(self, state: Moving) -> Tensor:
-        """Unit vectors along the ways, inertial, [..., B, M, 2]; zero at the goal."""
+        """Unit vectors along the routes, inertial, [..., B, M, 2]; zero at the goal."""
         return self._look_up(self.plan.map.descent_direction, state)
 
     def potential(self, state: Moving) -> Tensor:
-        """Phi, what is left of the ways, [..., B, M]."""
+        """Phi, the remaining cost of the routes, [..., B, M]."""
         return self._look_up(lambda places: self.plan.map.value_at(places)[..., None], state)[..., 0]
 
     def _look_up(self, field: Callable[[Tensor], Tensor], state: Moving) -> Tensor:
-        """A field of the maps, from [K, Q, 2] to [K, Q, C], at the places of states [..., B, M], [..., B, M, C]."""
+        """Evaluate a field of the maps, from [K, Q, 2] to [K, Q, C], at states [..., B, M]; returns [..., B, M, C]."""
         places = state.position[..., :2].double()
         found = field(places.reshape(-1, len(self.plan.goal), 2).transpose(0, 1)).transpose(0, 1)
         return found.reshape(*places.shape[:-1], found.shape[-1])
 
 
 class RouteTracker:
-    """Plans where a flight begins, and anew what has changed since.
+    """Plans at the beginning of a flight, and again when the known obstacles change.
 
     Args:
-        scenario: detection range and time step, and whether anything in these waters drifts.
-        router: plans.
+        scenario: detection range, time step and obstacles.
+        router: plans the routes.
     """
 
     def __init__(self, scenario: Scenario, router: Router):
@@ -83,20 +83,20 @@ class RouteTracker:
         self.look_steps, self.replan_steps = (round(T / scenario.dt) for T in (LOOK_PERIOD, REPLAN_PERIOD))
 
     def begin(self, observation: Observation) -> Route:
-        """Routes of vehicles [B, M] that know what they see now."""
+        """Routes of vehicles [B, M] that know the obstacles detected now."""
         B, M = observation.eta.shape[:2]
         known = observation.obstacles.each(lambda field: field.flatten(0, 1))
-        # One plan serves all worlds that see the same and set out from the same place.
+        # One plan is enough if all worlds have the same detected obstacles and start positions.
         same = self.router.targets == M and not (self.discovers or self.drifts)
         shared = same and _all_alike(observation.position) and all(_all_alike(x) for x in observation.obstacles)
         rows = torch.arange(M if shared else B * M, device=observation.eta.device)
         return Route(known, self._plan(rows, known, observation), observation.step)
 
     def update(self, route: Route, observation: Observation) -> Route:
-        """With what is detected now; the given route stays as it is.
+        """The route updated with the obstacles detected now; the given route is not modified.
 
         Raises:
-            ValueError: the route is of other worlds, or among other obstacles.
+            ValueError: the route belongs to other worlds, or to other obstacles.
         """
         _check_carry(route, observation)
         if not (self.discovers or self.drifts):
@@ -125,12 +125,12 @@ class RouteTracker:
     def avoidance(self, route: Route, state: Moving, time: Tensor) -> Tensor:
         """The avoidance term of the cost at states [..., B, M] and times [..., B] in s, [..., B, M]."""
         vehicles, shape = len(route.obstacles.radius), state.position.shape[:-1]
-        # Each vehicle has obstacles of its own, as a world of one vehicle has.
+        # Each vehicle has its own known obstacles: treat it as a world with one vehicle.
         position, time = state.position.reshape(-1, vehicles, 1, 3), time[..., None].expand(shape).reshape(-1, vehicles)
         return self.router.cost.obstacle(route.obstacles, position, time).view(shape)
 
     def excess(self, route: Route, state: Moving, time: Tensor) -> Tensor:
-        """By how much a place costs more than the goal: link and avoidance, not below zero, [..., B, M]."""
+        """Cost rate minus that of the goal, link and avoidance, not below zero, [..., B, M]."""
         position = state.position
         link = link_cost(self.router.frame, self.router.cost, position.reshape(-1, self.router.targets, 3))
         q = link.view(position.shape[:-1]) + self.avoidance(route, state, time)
@@ -143,7 +143,7 @@ class RouteTracker:
 
 
 def _check_carry(route: Route, observation: Observation) -> None:
-    """Refuse what was remembered of another flight: numbers of vehicles might broadcast, and fly to nowhere."""
+    """Reject a carry of another flight: its shapes might broadcast and give a wrong route."""
     here = (*observation.eta.shape[:2], observation.obstacles.number)
     remembered = (*route.shape, route.obstacles.number)
     if remembered != here:
@@ -152,5 +152,5 @@ def _check_carry(route: Route, observation: Observation) -> None:
 
 
 def _all_alike(values: Tensor) -> bool:
-    """Whether [B, ...] is the same in all worlds."""
+    """Whether values [B, ...] are equal in all worlds."""
     return bool((values == values[:1]).all())

@@ -1,4 +1,4 @@
-"""What an agent that learns its pace sees of its way, and the agent itself."""
+"""The features of its route that an agent with learned speed uses, and this agent."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class WayState(NamedTuple):
 
     Attributes:
         xi: in the frame of the goal that has the link's bearing, [..., 8].
-        way: unit vector along and across the link; zero at the goal, [..., 2].
-        phi: Phi, what is left of the way, [..., 1].
-        q: what the place costs more than the goal, link and avoidance, [..., 1].
+        way: direction of the route, a unit vector along and across the link; zero at the goal, [..., 2].
+        phi: Phi, remaining cost of the route, [..., 1].
+        q: cost rate of the position minus that of the goal, link and avoidance, [..., 1].
     """
 
     xi: Tensor
@@ -42,18 +42,18 @@ class WayState(NamedTuple):
 
     @classmethod
     def of(cls, x: Tensor) -> WayState:
-        """The parts of x [..., 12]."""
+        """The parts of a state x [..., 12]."""
         return cls(*x.split([8, 2, 1, 1], -1))
 
 
 @dataclass(frozen=True)
 class RouteView:
-    """Sees the way of each vehicle to its link, planned where a flight begins.
+    """Computes x for each vehicle from its route to its link, which is planned at the beginning of a flight.
 
     Attributes:
-        tracker: plans.
-        bearing: of the links, [M] or [B, M], rad, float64.
-        law: how vehicles give way.
+        tracker: plans the routes.
+        bearing: bearing of the links, [M] or [B, M], rad, float64.
+        law: control law along the route; here the rule to keep right.
     """
 
     tracker: RouteTracker
@@ -61,16 +61,16 @@ class RouteView:
     law: WayLaw
 
     def init(self, observation: Observation) -> Route:
-        """A first plan."""
+        """Plan the first route."""
         return self.tracker.begin(observation)
 
     def see(self, carry: Route, observation: Observation) -> tuple[Tensor, Route]:
-        """x [B, M, 12]."""
+        """x [B, M, 12] of an observation."""
         route = self.tracker.update(carry, observation)
         return self._see(route, observation, observation.messages.eta[..., :3], observation.time), route
 
     def along(self, carry: Route, trajectory: Trajectory) -> Tensor:
-        """x [n + 1, B, M, 12], with the obstacles that are known in the end."""
+        """x [n + 1, B, M, 12] of a trajectory, with the obstacles known at its end."""
         states = trajectory.states
         return self._see(carry, states, told_to_all(states.position), trajectory.time[:, None])
 
@@ -85,12 +85,12 @@ class RouteView:
 
 @dataclass(frozen=True)
 class RouteAgent:
-    """A linear agent that sees its way, and does not stand still in a current.
+    """A linear agent that follows its route, with an integral force against currents.
 
     Attributes:
-        view: sees x.
+        view: computes x.
         actor, trim: see `linear_control`.
-        dt: s.
+        dt: time step, s.
     """
 
     view: RouteView
@@ -99,7 +99,7 @@ class RouteAgent:
     dt: float
 
     def init(self, observation: Observation) -> RouteCarry:
-        """A first plan."""
+        """Plan the first route."""
         return RouteCarry.begin(self.view.init(observation), observation.eta)
 
     def act(self, carry: RouteCarry, observation: Observation) -> tuple[Tensor, RouteCarry]:
@@ -115,12 +115,12 @@ class RouteAgent:
 
 @dataclass(frozen=True)
 class LearnedGeodesic:
-    """guidance=geodesic for agents of basis=geodesic; it also finds the ways to the links that they learn from.
+    """guidance=geodesic for agents of basis=geodesic; it also plans the routes to virtual links for learning.
 
     Attributes:
-        margin_m: clearance below which no way leads, m.
-        map_settings: of the maps.
-        law: along the way.
+        margin_m: smallest clearance of a route, m.
+        map_settings: settings of the eikonal maps.
+        law: control law along the route.
     """
 
     margin_m: float
@@ -128,7 +128,7 @@ class LearnedGeodesic:
     law: WayLaw = field(default_factory=WayLaw)
 
     def __call__(self, mission: Mission) -> Lead:
-        """The way to a mission's targets."""
+        """Guidance to the targets of a mission."""
 
         def lead(controller: LinkController) -> RouteAgent:
             view = self.view(mission.env, mission.cost, controller.frame)
@@ -137,6 +137,6 @@ class LearnedGeodesic:
         return lead
 
     def view(self, env: Relay, cost: RelayCost, frame: LinkFrame) -> RouteView:
-        """Of one flight to links [M] or [B, M]."""
+        """The view for a flight to links [M] or [B, M]."""
         router = Router(env.scenario, frame, cost, self.margin_m, self.map_settings)
         return RouteView(RouteTracker(env.scenario, router), frame.bearing.double(), self.law)

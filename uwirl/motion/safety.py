@@ -1,18 +1,18 @@
-"""The guard between an agent and the thrusters: the last line against obstacles and vehicles, also while learning.
+"""The guard between an agent and the thrusters: prevents collisions with obstacles and vehicles, also while learning.
 
-For a clearance d that changes no faster than the vehicle moves (any union of shapes),
+For a clearance d that changes at most as fast as the vehicle moves (true for any union of shapes),
 
     h = d - margin - m_bar |nu|^2 / (2 tau_b)
 
-cannot become negative if m_bar is at least the vehicle's mass, tau_b at most its thrust, and h >= 0 at first: full
-braking spends kinetic energy as fast as clearance. Sampled at dt, the condition on tau is a ball for each obstacle,
+can be kept nonnegative if m_bar is at least the vehicle's mass, tau_b at most its thrust, and h >= 0 at first: full
+braking reduces kinetic energy as fast as clearance. Sampled at dt, the condition on tau is a ball per obstacle,
 
     beta |tau|^2 + (nu - tau_b beta n)' tau <= tau_b (n . nu + alpha h),   beta = dt / (2 m_lo)
 
 with n the unit vector from obstacle to vehicle in body axes and nu the velocity relative to the obstacle, both
-horizontal. Two vehicles share theirs, in three dimensions: with h = d - separation - m_bar (|nu_i|^2 + |nu_j|^2) /
-(2 tau_b), each keeps the same ball for its own nu and half of alpha h, which needs nothing of the other but where it is
-and how fast. Nothing of the dynamics is used but the bounds.
+horizontal. Two vehicles share their condition, in three dimensions: with h = d - separation - m_bar (|nu_i|^2 +
+|nu_j|^2) / (2 tau_b), each satisfies the same ball with its own nu and half of alpha h. This needs only position and
+speed of the other vehicle. Of the dynamics, only the bounds are used.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from uwirl.world.observation import Observation
 from uwirl.world.relay import Relay
 
 PROJECTIONS = 3
-# Time in which a full brake would have a lost h back, in steps.
+# Number of steps in which full braking aims to regain a lost h.
 RECOVERY_STEPS = 4
 
 
 class Neighbours(NamedTuple):
-    """What a vehicle has to keep clear of, C obstacles or vehicles.
+    """C obstacles or vehicles that a vehicle must avoid.
 
     Attributes:
         n: unit vectors from them to the vehicle, body axes, [B, M, C, 3].
-        nu: velocity to brake, relative to an obstacle, or the vehicle's own near another, [B, M, C, 3], m/s.
-        clearance: what is left beyond the margin or separation, [B, M, C], m; infinite where there is none.
-        axes: directions in which it is kept, 1 or 0, [C, 3].
+        nu: velocity to brake: relative to an obstacle, or the vehicle's own if it avoids a vehicle, [B, M, C, 3], m/s.
+        clearance: distance minus margin or separation, [B, M, C], m; infinite if there is no obstacle or vehicle.
+        axes: 1 for directions in which the clearance is kept, otherwise 0, [C, 3].
     """
 
     n: Tensor
@@ -49,7 +49,7 @@ class Neighbours(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What a guard has to know of its vehicle beside its own settings.
+    """What a guard needs to know about its vehicle, in addition to its own settings.
 
     Attributes:
         tau_max: thruster limits, [4].
@@ -63,23 +63,23 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, env: Relay) -> Limits:
-        """Of an environment's vehicles."""
+        """The limits of an environment's vehicles."""
         return cls(env.vehicle.tau_max, env.scenario.dt, env.scenario.vehicle_radius)
 
 
 @dataclass(frozen=True)
 class Unguarded:
-    """safety=none."""
+    """safety=none: no guard."""
 
     limits: Limits | None = None
 
     def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
-        """tau itself."""
+        """tau, unchanged."""
         return tau
 
 
 def nothing_near(observation: Observation) -> bool:
-    """Whether there is nothing in the water that could be hit."""
+    """Whether there are no obstacles and no other vehicles."""
     return observation.obstacles.number == 0 and observation.eta.shape[-2] == 1
 
 
@@ -106,7 +106,7 @@ class EnergyGuard:
     brake_force_N: float = 80.0
 
     def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
-        """tau [B, M, 4], with its forces changed as little as safety asks for."""
+        """tau [B, M, 4], with the smallest change of its forces that is safe."""
         if nothing_near(observation):
             return tau
         tau = torch.clamp(tau, -self.limits.tau_max, self.limits.tau_max)
@@ -118,13 +118,13 @@ class EnergyGuard:
         return torch.cat([self.filter(tau[..., :3], groups), tau[..., 3:]], -1)
 
     def _obstacles(self, observation: Observation) -> tuple[Neighbours, Tensor]:
-        """Obstacles that are detected, and h."""
+        """Detected obstacles, and h for each."""
         near = obstacle_neighbours(observation, self.limits.vehicle_radius)
         near = near._replace(clearance=near.clearance - self.margin_m)
         return near, near.clearance - self._braking_distance(near.nu.square().sum(-1))
 
     def _vehicles(self, observation: Observation) -> tuple[Neighbours, Tensor]:
-        """The other vehicles of the same world, and the half of h that is this vehicle's to keep."""
+        """The other vehicles of the same world, and half of h, the share that each vehicle must keep."""
         near = vehicle_neighbours(observation)
         near = near._replace(clearance=near.clearance - self.separation_m)
         own = observation.nu[..., :3].square().sum(-1)
@@ -136,11 +136,11 @@ class EnergyGuard:
         return self.mass_upper_kg * speed_squared / (2.0 * self.brake_force_N)
 
     def filter(self, force: Tensor, groups: list[tuple[Neighbours, Tensor]]) -> Tensor:
-        """The admissible force nearest to the wanted one, up to three projections; failing that, full braking.
+        """The admissible force nearest to the wanted one, by up to three projections; if that fails, full braking.
 
         Args:
             force: wanted surge, sway and heave force, within the limits, [B, M, 3], N.
-            groups: what to keep clear of, each with its share of h [B, M, C], m.
+            groups: obstacles or vehicles to avoid, each with its share of h [B, M, C], m.
 
         Returns:
             [B, M, 3], N.
@@ -160,18 +160,18 @@ class EnergyGuard:
             distance = torch.linalg.vector_norm(away, dim=-1)
             excess, worst = (distance - radius).max(-1, keepdim=True)
             shrink = 1.0 - radius.gather(-1, worst) / distance.gather(-1, worst).clamp_min(1e-9)
-            # Along the axes that the constraint does not hold, `away` is zero and the force stays.
+            # Along axes that the constraint does not include, `away` is zero and the force is unchanged.
             safe = torch.where(excess > 0.0, safe - shrink * _pick(away, worst), safe)
             safe = torch.maximum(torch.minimum(safe, force_max), -force_max)
         left = torch.linalg.vector_norm((safe[..., None, :] - centre) * axes, dim=-1) - radius
         violated = left.amax(-1, keepdim=True)
         nearest = h.argmin(-1, keepdim=True)
         held = axes[nearest[..., 0]]
-        # Brake to the speed at which h recovers: to rest alone, a current would press the vehicle in.
+        # Brake to the speed at which h recovers: after braking to rest, a current would press the vehicle in.
         recovery = (-h.gather(-1, nearest)).clamp_min(0.0) / (RECOVERY_STEPS * dt)
         error = _pick(nu, nearest) - recovery * _pick(n, nearest)
         speed = torch.linalg.vector_norm(error, dim=-1, keepdim=True)
-        # No more than takes that speed off within the step, or the vehicle would be thrown back.
+        # At most the force that reaches this speed within the step; more would throw the vehicle back.
         brake = (self.mass_lower_kg * speed / dt).clamp_max(self.brake_force_N)
         braking = torch.where(held > 0.0, -brake * error / speed.clamp_min(1e-9), force)
         return torch.where(violated > 0.5, braking, safe)
@@ -180,7 +180,7 @@ class EnergyGuard:
 def obstacle_neighbours(observation: Observation, vehicle_radius: float) -> Neighbours:
     """Obstacles that the vehicles detect, with the clearance between hulls."""
     obstacles, psi = observation.obstacles, observation.eta[..., 3, None]
-    # Each vehicle has obstacles of its own, as a world of one vehicle has.
+    # Each vehicle has its own detected obstacles: treat it as a world with one vehicle.
     offset = obstacles.offset(observation.position[..., None, :], observation.time[:, None])[..., 0, :, :]
     l = torch.linalg.vector_norm(offset, dim=-1)
     gap = torch.where(obstacles.present, l, torch.inf) - obstacles.radius - vehicle_radius
@@ -203,10 +203,10 @@ def vehicle_neighbours(observation: Observation) -> Neighbours:
 
 
 def _lift(horizontal: Tensor) -> Tensor:
-    """[..., 3] of [..., 2], with nothing along the third axis."""
+    """Vectors [..., 2] as [..., 3], with zero along the third axis."""
     return torch.nn.functional.pad(horizontal, (0, 1))
 
 
 def _pick(vectors: Tensor, index: Tensor) -> Tensor:
-    """[..., 3] of [..., C, 3] at [..., 1]."""
+    """Vectors [..., 3] selected from [..., C, 3] by an index [..., 1]."""
     return vectors.gather(-2, index[..., None].expand(*index.shape, 3))[..., 0, :]

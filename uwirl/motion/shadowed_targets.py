@@ -1,8 +1,8 @@
-"""Where vehicles should be when shadowing is known: by search, since the SNR then has many peaks.
+"""Target positions when shadowing is known: by search, because the SNR then has many peaks.
 
-A place is worth the SNR of the worse of a vehicle's two links. Vehicles are placed in turn, each where that is best
-with its neighbours where they are, until none gains; so with one vehicle the search is over all the places that count,
-with several it ends where no single vehicle can do better.
+The value of a place is the SNR of the worse of a vehicle's two links. Vehicles are moved in turn, each to its best
+place with its neighbours fixed, until none improves. For one vehicle this searches the whole region; for several, it
+ends at a point that no single vehicle can improve.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from torch import Tensor
 
 from uwirl.world.scenario import Scenario
 
-# From the two ends of links [Q, 3] and [Q, 3] in the order of the field to their SNR in dB, [Q].
+# From the two ends of links, [Q, 3] each in the order of the field, to their SNR in dB, [Q].
 LinkSnr = Callable[[Tensor, Tensor], Tensor]
 
 ROUNDS = 8
-# Of the best places of a grid so many are searched again on finer ones.
+# This many best places of a grid are searched again on finer grids.
 KEPT = 16
 
 
@@ -28,9 +28,9 @@ class Search:
     """Grids around a vehicle's mean-channel target.
 
     Attributes:
-        reach: half width of the first one, as a share of the hop.
-        spacing: of the first one, m; vertically the same.
-        finest: spacing at which a peak counts as found, m.
+        reach: half width of the first grid, as a fraction of the hop.
+        spacing: spacing of the first grid, also vertically, m.
+        finest: spacing at which the search ends, m.
     """
 
     reach: float = 0.75
@@ -39,16 +39,16 @@ class Search:
 
 
 def shadowed_targets(scenario: Scenario, snr: LinkSnr, targets: Tensor, search: Search | None = None) -> Tensor:
-    """Targets that maximise the worst link's SNR where it is known.
+    """Targets that maximise the worst link's SNR for a known or mapped field.
 
     Args:
         scenario: source, destination and water.
-        snr: of any link: a map when planning, the truth when judging.
-        targets: of the mean channel, [M, 3], m.
-        search: as named.
+        snr: SNR of any link: a map for planning, the truth for evaluation.
+        targets: targets of the mean channel, [M, 3], m.
+        search: grids.
 
     Returns:
-        [M, 3], m; never worse than the mean channel's.
+        [M, 3], m; never worse than those of the mean channel.
     """
     search = search or Search()
     source, destination = scenario.source.double(), scenario.destination.double()
@@ -66,7 +66,7 @@ def shadowed_targets(scenario: Scenario, snr: LinkSnr, targets: Tensor, search: 
 
 
 def _worse_link(snr: LinkSnr, left: Tensor, right: Tensor, right_first: bool) -> Callable[[Tensor], Tensor]:
-    """From places [Q, 3] to the smaller SNR of the links with two neighbours, [Q]; a destination's end is the first."""
+    """A function from places [Q, 3] to the smaller SNR of the links with two neighbours, [Q]."""
 
     def worth(place: Tensor) -> Tensor:
         there = right.expand_as(place)
@@ -78,7 +78,7 @@ def _worse_link(snr: LinkSnr, left: Tensor, right: Tensor, right_first: bool) ->
 def _best(
     worth: Callable[[Tensor], Tensor], centre: Tensor, present: Tensor, search: Search, hop: float, depth: float
 ) -> Tensor:
-    """Where worth [Q] of places [Q, 3] is largest around a centre [3]; the present place, if none is better."""
+    """The place around a centre [3] with the largest worth; the present place if none is better."""
     spacing = search.spacing
     steps = torch.arange(-round(search.reach * hop / spacing), round(search.reach * hop / spacing) + 1) * spacing
     levels = torch.arange(-depth, 1e-9, spacing) - centre[2].cpu()
@@ -95,7 +95,7 @@ def _best(
         grid = torch.cat([grid, best])
         values = worth(grid)
     places = torch.stack([grid[values.argmax()], centre, present])
-    # Ties go to the present place, so that rounds end.
+    # With equal values the present place is kept, so that the rounds end.
     values = worth(places)
     if values[2] >= values[0]:
         return present

@@ -1,4 +1,4 @@
-"""Where each vehicle should be on a channel: the estimate when planning, the truth when judging."""
+"""Target positions of the vehicles for a channel: the estimate for planning, the truth for evaluation."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ class NoTargetError(ValueError):
 
 
 class ChainTargets(NamedTuple):
-    """Targets of a chain's vehicles.
+    """Target positions of the vehicles of a chain.
 
     Attributes:
-        frame: LinkFrame of the M vehicles.
+        frame: link frames of the M vehicles.
         neighbours: source-side and destination-side neighbour of each target, in that target's frame, [M, 2, 3], m.
     """
 
@@ -31,11 +31,11 @@ class ChainTargets(NamedTuple):
 def mean_channel_targets(scenario: Scenario, channel: Channel) -> ChainTargets:
     """Targets that maximise the worst link's mean capacity: M + 1 equal hops on the line from source to destination.
 
-    The mean SNR depends on distance alone and falls with it, so shortening the longest hop always helps until all are
-    equal.
+    The mean SNR depends on distance only and decreases with it. Shortening the longest hop therefore increases the
+    capacity until all hops are equal.
 
     Raises:
-        NoTargetError: the SNR does not fall with distance over a hop, so that no such optimum exists.
+        NoTargetError: the SNR does not decrease with distance over a hop, so this optimum does not exist.
     """
     M = scenario.vehicles
     span = scenario.destination - scenario.source

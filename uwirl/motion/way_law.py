@@ -1,7 +1,7 @@
-"""How a vehicle follows its way: pace, heading, depth, giving way, and the push against a current.
+"""The control law along a route: speed, heading, depth, keeping right, and the force against a current.
 
-Minimising (q + R F^2) / v along the way gives the force F = k sqrt(q / R_b), R_b = sum_k R_k u_bk^2 with u_b the way's
-direction in body axes: R_b F^2 = q / 3, k = 0.577, where drag is quadratic, R_b F^2 = q, k = 1, where it is linear.
+Minimising (q + R F^2) / v along the route gives the force F = k sqrt(q / R_b), R_b = sum_k R_k u_bk^2 with u_b the
+route's direction in body axes. With quadratic drag R_b F^2 = q / 3, k = 0.577; with linear drag R_b F^2 = q, k = 1.
 """
 
 from __future__ import annotations
@@ -18,30 +18,31 @@ from uwirl.world.vehicle import Moving
 
 @dataclass(frozen=True)
 class WayLaw:
-    """The law along the way. Its constants were found on `bluerov2` in the layouts of docs/safety.md.
+    """The control law along a route. Its constants were tuned with `bluerov2` in the layouts of docs/safety.md.
 
     Attributes:
-        near_m: within this distance of the goal the led policy acts alone, m: the map's last cells are too coarse.
-        far_m: beyond this distance the way alone, in between a blend, m.
-        pace_floor: least q that sets the pace, or the last metres would take for ever.
-        pace_floor_m: distance from the goal within which that floor shrinks, lest the vehicle overshoot, m.
-        keep_right_m: distance between vehicles at which they begin to give way: two that meet need the length in which
-            they brake, twice, m.
+        near_m: within this distance of the goal only the policy for the last metres acts, because the map is too coarse
+            there, m.
+        far_m: beyond this distance only the route is followed; in between both are blended, m.
+        pace_floor: smallest q used for the speed; without it the last metres would take too long.
+        pace_floor_m: within this distance of the goal the floor decreases, so that the vehicle does not overshoot, m.
+        keep_right_m: distance between vehicles at which they begin to turn right: two vehicles that meet need twice
+            their braking distance, m.
         heading_speed_mps: speed above which the Munk moment decides the heading, not the cost's bearing, m/s.
-        heading_clip_rad: largest heading error that is answered: a quicker turn costs more than it gains, rad.
-        turning: what turning by an angle counts against holding a heading that is off the link's by as much.
-        pace_drag: a drive F aims at the speed sqrt(F / pace_drag): the quadratic drag at work, N s^2/m^2.
-        glide: the share of the depth that is left is the share of the way that is left to this power, so that the depth
-            is reached a little before the goal.
-        glide_damping: force for a vertical velocity that is off that path, N s/m.
-        progress_mps: progress along the way below which a push against a current grows, m/s.
-        progress_rate: at which it grows, N/m.
-        forgetting: at which it fades once it is not needed, 1/s.
-        integral_within_m: distance of the goal within which its error is integrated instead of the progress, m.
-        goal_rate: at which that is integrated, N/s: a slow one, since the error is small beside the push.
-        close_m: what is close enough to the goal to be left alone, m.
-        still_mps: speed below which a vehicle is stalled near the goal rather than on its way, m/s.
-        push_N: largest push, half of what thrusters give, N.
+        heading_clip_rad: heading errors are clipped to this value: a faster turn costs more than it gains, rad.
+        turning: weight of turning by an angle, relative to a heading that differs from the link's by this angle.
+        pace_drag: a force F is expected to give the speed sqrt(F / pace_drag), by quadratic drag, N s^2/m^2.
+        glide: remaining fraction of the depth = (remaining fraction of the distance) ^ glide, so that the depth is
+            reached slightly before the goal.
+        glide_damping: force per deviation from the vertical velocity of that path, N s/m.
+        progress_mps: if the progress along the route is slower than this, the push against a current grows, m/s.
+        progress_rate: rate at which it grows, N/m.
+        forgetting: rate at which it decays when it is not needed, 1/s.
+        integral_within_m: within this distance of the goal, its error is integrated instead of the progress, m.
+        goal_rate: rate of that integration, N/s: slow, because this error needs only small corrections of the push.
+        close_m: closer to the goal than this, nothing is integrated, m.
+        still_mps: below this speed, a vehicle near the goal counts as stalled, m/s.
+        push_N: largest push, half of the maximum thrust, N.
     """
 
     near_m: float = 1.0
@@ -65,35 +66,35 @@ class WayLaw:
     push_N: float = 40.0
 
     def near_share(self, distance: Tensor) -> Tensor:
-        """Share of the policy for the last metres at a distance from the goal, m."""
+        """Weight of the policy for the last metres, 0 to 1, at a distance from the goal in m."""
         return ((self.far_m - distance) / (self.far_m - self.near_m)).clamp(0.0, 1.0)
 
     def pace_cost(self, q: Tensor, distance: Tensor) -> Tensor:
-        """The q that sets the pace, of a place's q less that of the goal, and the distance from there, m."""
+        """The q that sets the speed, from a place's q minus that of the goal, and its distance from the goal, m."""
         return torch.maximum(q, self.pace_floor * (distance / self.pace_floor_m).square().clamp_max(1.0))
 
     def drive(self, q: Tensor, R: Tensor, u: Tensor) -> Tensor:
-        """sqrt(q / R_b), [...], N: the force along a way u_b [..., 2] for a gain of one, before it is slowed.
+        """sqrt(q / R_b), [...], N: the force along a route u_b [..., 2] for k = 1, before `slowed`.
 
         Args:
             q: see `pace_cost`, [...].
             R: control weights of surge and sway, [2].
-            u: unit vectors in body axes, [..., 2]; at the goal itself there is none.
+            u: unit vectors in body axes, [..., 2]; zero at the goal.
         """
         effort = (R * u.square()).sum(-1).clamp_min(torch.finfo(u.dtype).tiny)
         return torch.sqrt(q / effort)
 
     def slowed(self, drive: Tensor, u: Tensor) -> Tensor:
-        """Drive [...] along ways u_b [..., 2], less where askew at an angle a: the Munk moment grows with sin 2a."""
+        """Drive [...] along routes u_b [..., 2], reduced at oblique angles a: the Munk moment grows with sin 2a."""
         return drive / (1.0 + (2.0 * u[..., 0] * u[..., 1]).square())
 
     def keep_right(self, way: Tensor, position: Tensor, others: Tensor) -> Tensor:
-        """Ways that turn right of other vehicles ahead, or two that meet head-on would brake each other to a stop.
+        """Routes that turn right of vehicles ahead; otherwise two that meet head-on would stop each other.
 
         Args:
             way: unit vectors, [..., M, 2]; zero at the goal.
             position: [..., M, 3], m.
-            others: where each vehicle knows the others to be, [..., M, M, 3], m.
+            others: positions of the others as known to each vehicle, [..., M, M, 3], m.
         """
         offset = others - position[..., :, None, :]
         close = ((self.keep_right_m - torch.linalg.vector_norm(offset, dim=-1)) / self.keep_right_m).clamp_min(0.0)
@@ -104,19 +105,19 @@ class WayLaw:
         return torch.nn.functional.normalize(turned, dim=-1)
 
     def heading_error(self, way: Tensor, state: Moving, bearing: Tensor, drive: Tensor) -> Tensor:
-        """How far the bow is off the best heading, [B, M], rad, clipped so that it is never turned in haste.
+        """Difference between the heading and the best heading, [B, M], rad, clipped to avoid fast turns.
 
-        The cost asks for the link's bearing; at speed V the Munk moment, which the yaw thruster pays for, asks for the
-        bow, the stern or a side along the way: it is (m_v - m_u) V^2 sin(2 a) / 2 at an angle a to the way. Of the sum
-        of both squares such a heading takes a share V^4 / (V^4 + V_0^4). It is bow or stern, or a side, whichever is
-        nearer to the bearing, and to the present heading, lest the vehicle turn to and fro. V is the speed that the
-        drive aims at, if that is more: turning is cheap as long as the vehicle is slow.
+        The cost prefers the link's bearing. At speed V, the Munk moment (m_v - m_u) V^2 sin(2 a) / 2, with a the angle
+        between bow and route, costs yaw thrust; it prefers headings with bow, stern or a side along the route. In the
+        sum of both squares, such a heading has the weight V^4 / (V^4 + V_0^4). Among bow, stern and sides, the one
+        nearest to the bearing and to the present heading is chosen, so that the vehicle does not turn back and forth.
+        V is the larger of the speed and the speed expected from the drive: turning is cheap while the vehicle is slow.
 
         Args:
             way: unit vectors, [B, M, 2].
             state: [B, M].
             bearing: of the links, [B, M] or [M], rad.
-            drive: force along the way, [B, M], N.
+            drive: force along the route, [B, M], N.
         """
         off = wrapped(state.eta[..., 3] - bearing)
         ends = wrapped(torch.atan2(way[..., 1], way[..., 0]) - bearing, math.pi)
@@ -127,7 +128,7 @@ class WayLaw:
         return wrapped(off - best).clamp(-self.heading_clip_rad, self.heading_clip_rad)
 
     def descent(self, state: Moving, goal: Tensor, distance: Tensor) -> Tensor:
-        """Heave beyond trim, [B, M], N, on the glide path to goals [B, M, 3]: hurrying down gains nothing."""
+        """Heave in addition to the trim, [B, M], N, for the glide path to goals [B, M, 3]: faster gains nothing."""
         error = state.position[..., 2] - goal[..., 2]
         speed = torch.linalg.vector_norm(state.nu[..., :2], dim=-1)
         return -self.glide_damping * (state.nu[..., 2] + self.glide * error * speed / distance.clamp_min(self.near_m))
@@ -135,10 +136,10 @@ class WayLaw:
     def pushed(
         self, push: Tensor, state: Moving, goal: Tensor, way: Tensor, distance: Tensor, dt: float
     ) -> tuple[Tensor, Tensor]:
-        """The push against a current, integrated from what is missing of progress, and of the goal near it.
+        """The push against a current: the integral of missing progress or, near the goal, of the error to the goal.
 
         Args:
-            push: so far, in the inertial frame, as a current is, [B, M, 2], N.
+            push: present push, in the inertial frame like a current, [B, M, 2], N.
             state: [B, M].
             goal: [B, M, 3], m.
             way: unit vectors, [B, M, 2].

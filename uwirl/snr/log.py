@@ -132,7 +132,7 @@ def read_log(path: Path) -> Log:
     sensors = _sensors(path, rows)
     if not any(math.isfinite(row.snr) for row in rows):
         raise LogError(path, "holds no reading: every snr_dB is blank" if rows else "holds no rows below its header")
-    # Keys (time, place) are unique, so they alone give the order.
+    # There is only one message from a place at a time, so a key identifies a message.
     keys = list(dict.fromkeys(messages))
     if rows[0].time is not None:
         keys.sort(key=lambda key: key[1])

@@ -1,4 +1,4 @@
-"""A mission seen from above, as a GIF; needs matplotlib (extra `plot`), which brings Pillow."""
+"""Animation of a mission from above, as a GIF; needs matplotlib (extra `plot`), which brings Pillow."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from uwirl.world.scenario import Scenario
 
 # 680 x 850 pixels.
 SIZE_INCHES, DPI = (6.8, 8.5), 100
-# Bow and two corners of the stern, ahead and to port, as shares of the map's width.
+# Bow and two corners of the stern (ahead, to port), as fractions of the map's width.
 TRIANGLE = np.array([[0.026, 0.0], [-0.017, 0.016], [-0.017, -0.016]])
 
 
@@ -35,12 +35,12 @@ def save(
     Links are coloured by their mean capacity; dotted rings are the obstacles' radii of influence rho_o.
 
     Args:
-        scenario: nodes and obstacles, those of all worlds.
+        scenario: nodes and obstacles of all worlds.
         evaluation: the mission.
-        path: of the GIF; its folder is made.
-        world: which one of the batch.
-        fps: frames a second.
-        speed: seconds of the mission in one of the film.
+        path: path of the GIF; its folder is created if missing.
+        world: number of the world in the batch.
+        fps: frames per second.
+        speed: seconds of the mission per second of the animation.
 
     Raises:
         ValueError: `fps` or `speed` is not positive.
@@ -50,7 +50,7 @@ def save(
     film = _Film(scenario, evaluation, world)
     frames = max(2, round(evaluation.trajectory.dt * (len(film.time) - 1) / speed * fps))
     images = [film.frame(k) for k in np.linspace(0, len(film.time) - 1, frames).round().astype(int)]
-    # The colour bar gives the first frame every colour that the links will need.
+    # With the colour bar, the palette of the first frame contains all colours of the links.
     palette = images[0].quantize(method=Image.Quantize.FASTOCTREE)
     first, *others = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -60,7 +60,7 @@ def save(
 
 
 def _cylinders(scenario: Scenario, world: int, time: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Centres [n + 1, O, 2] at these times [n + 1], radii rho_m and rho_o [O] of a world's obstacles, s and m."""
+    """Centres [n + 1, O, 2] at times [n + 1] in s, radii rho_m and rho_o [O] of a world's obstacles, m."""
     obstacles = scenario.obstacles.worlds(torch.tensor([world], device=scenario.source.device))
     present = obstacles.present.flatten()
     place, velocity = (f.view(-1, 2)[present].numpy(force=True) for f in (obstacles.centre, obstacles.velocity))
@@ -69,7 +69,7 @@ def _cylinders(scenario: Scenario, world: int, time: NDArray) -> tuple[NDArray, 
 
 
 class _Film:
-    """A background that is drawn once, and artists that move over it."""
+    """A background that is drawn once, and moving artists."""
 
     def __init__(self, scenario: Scenario, evaluation: Evaluation, world: int):
         self.time = evaluation.trajectory.time.numpy(force=True)
@@ -86,7 +86,7 @@ class _Film:
         self.clock = self.figure.text(0.49, 0.93, "", ha="center", family="monospace", size=11)
         self._map(self.figure.add_axes((0.11, 0.31, 0.76, 0.608)), radius, influence)
         self._curve(self.figure.add_axes((0.11, 0.07, 0.76, 0.16)))
-        # From the lowest to the highest.
+        # In drawing order, from the lowest layer to the highest.
         self.moving: list[Artist] = [*self.rings, self.links, *self.cylinders, *self.trails, *self.nodes, *self.hulls]
         self.moving += [self.marker, self.clock]
         for artist in self.moving:
@@ -129,7 +129,7 @@ class _Film:
         axes.grid(alpha=0.3)
 
     def frame(self, k: int) -> Image.Image:
-        """The picture at step boundary k."""
+        """The picture at step k."""
         self.clock.set_text(f"t = {self.time[k]:5.1f} s    chain {self.worst[k]:5.1f} of {self.optimum:.1f} kbit/s")
         self.links.set_segments(list(np.stack([self.chain[k, :-1], self.chain[k, 1:]], 1)))
         self.links.set_array(self.capacity[k])

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, whenever a run is killed or a disk full."""
+"""Files that are written completely or not at all, even if a run is killed or a disk is full."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 def write_whole(path: Path, content: bytes) -> None:
     """Write to a temporary file in the same folder, flush it to disk, then rename it over `path`.
 
-    Its name is always the same: what a killed run left of it is overwritten by the next.
+    The temporary file always has the same name, so that the remains of a killed run are overwritten by the next.
 
     Raises:
-        OSError: it names `path`.
+        OSError: writing failed; the error names `path`.
     """
     temporary = path.with_name(path.name + ".tmp")
     try:
@@ -40,10 +40,10 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def read_whole(path: Path, most_bytes: int) -> bytes:
-    """What a regular file holds.
+    """Content of a regular file.
 
     Raises:
-        OSError: it cannot be read, is none (a pipe would be waited for), or larger than any that is meant.
+        OSError: the file cannot be read, is not a regular file (reading a pipe would block), or is too large.
     """
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
@@ -55,14 +55,14 @@ def read_whole(path: Path, most_bytes: int) -> bytes:
 
 
 def write_arrays(path: Path, **arrays: Any) -> None:
-    """A compressed .npz file of named arrays."""
+    """Write named arrays to a compressed .npz file."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     write_whole(path, buffer.getvalue())
 
 
 def write_figure(path: Path, figure: Figure) -> None:
-    """A PNG file, whose folder is made."""
+    """Write a PNG file; its folder is created if missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=110, format="png")

@@ -1,4 +1,4 @@
-"""An agent in many random layouts: who arrived, who touched what, and how sure one can be."""
+"""An agent in many random layouts: arrivals, contacts, and confidence bounds."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from uwirl.world.layouts import KINDS, Layouts
 from uwirl.world.obstacles import contacts
 from uwirl.world.relay import Relay
 
-# A layout whose feasibility changes with this much more or less room is left out of counts, m.
+# Layouts whose feasibility changes if this clearance is added or removed are not counted, m.
 AMBIGUITY = 0.05
 CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
 class Outcomes:
-    """What became of N worlds.
+    """Results in N worlds.
 
     Attributes:
         kind: index into KINDS, [N].
-        feasible: whether every vehicle's way is open, [N].
-        ambiguous: whether that hangs on a few centimetres, [N].
-        collisions: contact intervals, [N].
-        clearance: the smallest, [N], m.
-        separation: the smallest between vehicles, [N], m; infinite for a single one.
-        t99: [N], s; infinite if 99 % were not kept.
-        blocked: whether some vehicle found no way at the end, [N].
+        feasible: whether every vehicle has a free route, [N].
+        ambiguous: whether this depends on a few centimetres, [N].
+        collisions: number of contact intervals, [N].
+        clearance: smallest clearance, [N], m.
+        separation: smallest distance between vehicles, [N], m; infinite for a single one.
+        t99: time to 99 % of the best capacity, [N], s; infinite if 99 % were not kept.
+        blocked: whether some vehicle found no free route at the end, [N].
         cost: J, [N].
     """
 
@@ -59,7 +59,7 @@ class Outcomes:
         return self.t99.isfinite()
 
     def of(self, rows: Tensor) -> Outcomes:
-        """Those of some worlds, by a mask or numbers."""
+        """The outcomes of some worlds, by a mask or numbers."""
         return Outcomes(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def metrics(self) -> dict[str, Any]:
@@ -89,7 +89,7 @@ class Outcomes:
         }
 
     def table(self) -> Iterator[str]:
-        """Lines of a table by kind."""
+        """Lines of a table with one row per kind."""
         yield (
             f"{'kind':<12} {'worlds':>6} {'feasible':>8} {'reached':>8} {'missed <':>9} {'contacts':>8} {'hit <':>7} "
             f"{'blocked':>8} {'t99 med':>8} {'max (s)':>8} {'clear (m)':>9} {'J med':>7}"
@@ -119,15 +119,15 @@ def fly(
     batch: int,
     watch: Callable[[Relay, Evaluation], None] = lambda env, evaluation: None,
 ) -> Outcomes:
-    """One mission in each layout.
+    """Fly one mission in each layout.
 
     Args:
-        env: with the layouts' random streams; its scenario is what they have in common.
-        layouts: N.
-        agent_in: the agent for some of the worlds.
-        evaluator: of the environment.
-        batch: worlds flown together.
-        watch: told of every batch as soon as it is flown.
+        env: environment with the random streams of the layouts and their common scenario.
+        layouts: N layouts.
+        agent_in: function of an environment with some of the worlds, returns the agent.
+        evaluator: evaluator of the environment.
+        batch: number of worlds flown together.
+        watch: called after every batch with its results.
     """
     common = replace(env.scenario, start=layouts.start, obstacles=layouts.obstacles)
     everywhere = env.on(common, env.streams)
@@ -157,7 +157,7 @@ def fly(
 
 
 def upper_bound(failures: int, trials: int) -> float:
-    """Clopper-Pearson: the rate at which so few failures or fewer would be seen in 5 % of cases; nan of no trials."""
+    """Clopper-Pearson: the rate at which this many failures or fewer have a probability of 5 %; nan without trials."""
     if trials == 0:
         return math.nan
     return 1.0 if failures == trials else float(special.betaincinv(failures + 1, trials - failures, CONFIDENCE))

@@ -1,4 +1,4 @@
-"""Checkpoints: a plain dictionary, written whole or not at all, and verified before it is believed."""
+"""Checkpoints: plain dictionaries, written atomically and verified when they are read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from uwirl.study.atomic_io import read_whole, write_whole
 FORMAT_VERSION = 3
 # A checkpoint of a few vehicles takes 0.1 MB, its digests 80 bytes each.
 MOST_BYTES, MOST_DIGEST_BYTES = 2 * 10**9, 10**4
-# A run may be saving another one while this one is read.
+# Another process may be writing a new checkpoint while this one is read.
 ATTEMPTS = 3
 
 
@@ -24,10 +24,10 @@ class CheckpointError(ValueError):
 
 
 def locate(path: Path) -> Path:
-    """The file that is meant: a run folder stands for its checkpoints/last.pt.
+    """The checkpoint file for a path: for a run folder, its checkpoints/last.pt.
 
     Raises:
-        CheckpointError: a folder without one, or no name of a file.
+        CheckpointError: the folder has no checkpoint, or the path is not a file name.
     """
     try:
         if not path.is_dir():
@@ -48,13 +48,13 @@ def _digest_file(path: Path) -> Path:
 
 
 def save(path: Path, content: dict[str, Any]) -> None:
-    """Save tensors, numbers, strings, lists and dictionaries of them, with a sha256 beside the file."""
+    """Save tensors, numbers, strings, lists and dictionaries of them, with a sha256 in a second file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     buffer = io.BytesIO()
     torch.save({"format_version": FORMAT_VERSION, **content}, buffer)
     data = buffer.getvalue()
     line = f"{hashlib.sha256(data).hexdigest()}  {path.name}\n".encode()
-    # Killed between two of these, the new digest and the old one both stand beside whichever file is there.
+    # If the process is killed in between, the digest file contains both digests, so old and new file are valid.
     present = _digest_file(path).read_bytes() if _digest_file(path).is_file() else b""
     write_whole(_digest_file(path), line + present)
     write_whole(path, data)
@@ -70,11 +70,11 @@ def load(path: Path, device: str = "cpu") -> dict[str, Any]:
     """Load a checkpoint.
 
     Args:
-        path: of the file.
-        device: where its tensors shall be.
+        path: path of the file.
+        device: device for its tensors.
 
     Raises:
-        CheckpointError: missing, damaged, of another format, or holding anything but plain data.
+        CheckpointError: the file is missing, damaged, of another format, or contains other than plain data.
     """
     for _ in range(ATTEMPTS):
         data, digests = _read(path)
@@ -83,10 +83,10 @@ def load(path: Path, device: str = "cpu") -> dict[str, Any]:
     else:
         raise CheckpointError(f"{path}: damaged, its sha256 differs from the one beside it")
     try:
-        with warnings.catch_warnings(action="ignore"):  # about pickles that are refused anyway
+        with warnings.catch_warnings(action="ignore"):  # warnings about pickles, which are refused anyway
             content = torch.load(io.BytesIO(data), map_location=device, weights_only=True)
-    except Exception:  # an unpickler fails in any way that foreign bytes can make it fail
-        # Torch's own message advises to load the file without protection.
+    except Exception:  # foreign bytes can raise any exception in the unpickler
+        # Torch's own message recommends to load the file without protection.
         raise CheckpointError(f"{path}: no checkpoint of plain data") from None
     version = content.get("format_version") if isinstance(content, dict) else None
     if version != FORMAT_VERSION:
@@ -95,7 +95,7 @@ def load(path: Path, device: str = "cpu") -> dict[str, Any]:
 
 
 def _read(path: Path) -> tuple[bytes, list[str]]:
-    """What is in a file, and the digests beside it."""
+    """Content of a file, and the digests stored for it."""
     try:
         data = read_whole(path, MOST_BYTES)
     except OSError as error:

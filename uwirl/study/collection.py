@@ -1,4 +1,4 @@
-"""A sweep's runs read together: what each was given and gave, and statistics over seeds."""
+"""The runs of a sweep: their overrides, their results, and statistics over seeds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 from uwirl.snr.intervals import student_t
 from uwirl.study.run_folder import read_metrics
 
-# Shown in tables and figures, where a run has them.
+# Metrics shown in tables and figures, if runs have them.
 MAIN = (
     "cost_total",
     "capacity_final_mean_kbps",
@@ -29,21 +29,21 @@ MAIN = (
     "converged",
 )
 MOST = 1e100
-# Where one override ends and the next begins in a folder's name; values may hold commas too.
+# Separates overrides in a folder's name; values may contain commas, too.
 BETWEEN = re.compile(r",(?=[+~]{0,2}[A-Za-z_][\w@./]*=)")
-# Folders of a run, and of a collection, that hold no runs.
+# Subfolders of a run or a collection that contain no runs.
 WITHIN = {"tb", "figures", "checkpoints"}
-# Files beside runs that need no mention: Hydra's, and a collection's.
+# Other files that are not reported: Hydra's, and those of a collection.
 BESIDE = {"multirun.yaml", "results.csv", "results.md", "README.md"}
 
 
 def as_number(value: Any) -> float | None:
-    """What is a number, true and false being 1 and 0; beyond MOST the squares of some would be none."""
+    """A value as a number, with true = 1 and false = 0; None if it is none or too large to be squared."""
     return float(value) if isinstance(value, int | float) and abs(value) < MOST else None
 
 
 def rounded(value: str) -> str:
-    """A number of many decimals, as searches draw them, to four digits; anything else as it is."""
+    """A number with many decimals, as drawn by searches, rounded to four digits; other values unchanged."""
     try:
         text = f"{float(value):.4g}" if "." in value else value
     except ValueError:
@@ -52,19 +52,19 @@ def rounded(value: str) -> str:
 
 
 def told(keys: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Values of groups, numbers rounded if that leaves all groups different."""
+    """Values of groups as labels; numbers are rounded if all groups remain different."""
     short = [tuple(map(rounded, key)) for key in keys]
     return short if len(set(short)) == len(keys) else list(keys)
 
 
 @dataclass(frozen=True)
 class Job:
-    """A run that ended.
+    """A run that has ended.
 
     Attributes:
-        name: its folder, below the one collected.
-        overrides: what it was given, the experiment always among it where known.
-        metrics: the contents of metrics.json but for these.
+        name: its folder, relative to the collected one.
+        overrides: its overrides, including the experiment if known.
+        metrics: the other contents of metrics.json.
     """
 
     name: str
@@ -81,12 +81,12 @@ class Job:
 
 @dataclass(frozen=True)
 class Collection:
-    """All that lies below a folder.
+    """All runs below a folder.
 
     Attributes:
-        jobs: runs that ended.
-        incomplete: folders of runs that are still going on, or were killed.
-        skipped: what is no run, and why.
+        jobs: runs that have ended.
+        incomplete: folders of runs that are still running, or were killed.
+        skipped: files and folders that are not runs, with reasons.
     """
 
     jobs: list[Job]
@@ -95,7 +95,7 @@ class Collection:
 
     @property
     def varied(self) -> list[str]:
-        """Overrides, other than the seed, that are not the same in all jobs."""
+        """Overrides, other than the seed, that differ between jobs."""
         keys = {key: None for job in self.jobs for key in job.overrides if key != "seed"}
         return [key for key in keys if len({job.overrides.get(key) for job in self.jobs}) > 1]
 
@@ -107,10 +107,10 @@ class Collection:
         return {key: value for key, value in first.items() if key not in varied}
 
     def groups(self) -> dict[tuple[str, ...], list[Job]]:
-        """Complete jobs by the values of what is varied, a group for failed jobs too; each configuration once.
+        """Complete jobs, grouped by the varied overrides; groups with failed jobs only are empty.
 
-        A run is repeatable: a second one of the same configuration and seed would narrow an interval without telling
-        anything.
+        Each configuration is counted once: runs are repeatable, so a second run with the same configuration and seed
+        would narrow the interval without adding information.
         """
         varied = self.varied
         groups: dict[tuple[str, ...], list[Job]] = {}
@@ -128,8 +128,8 @@ class Collection:
 @dataclass(frozen=True)
 class Interval:
     """Attributes:
-    mean: of n numbers.
-    half: half the width of its 95 % interval; None of a single number.
+    mean: mean of n numbers.
+    half: half the width of its 95 % interval; None for a single number.
     n: at least 1.
     """
 
@@ -138,7 +138,7 @@ class Interval:
     n: int
 
     def __str__(self) -> str:
-        # Below this the spread is that of rounding.
+        # A smaller spread is due to rounding.
         if self.half is None or self.half <= 1e-12 * abs(self.mean):
             return f"{self.mean:.5g}" if self.half is None else f"{self.mean:.5g} ± 0"
         if not 1e-6 <= self.half < 1e6:
@@ -148,7 +148,7 @@ class Interval:
 
 
 def interval(numbers: Sequence[float]) -> Interval | None:
-    """Mean and its 95 % interval by Student's t; None of no numbers."""
+    """Mean and its 95 % interval by Student's t; None without numbers."""
     n = len(numbers)
     if n == 0:
         return None
@@ -165,15 +165,15 @@ def _t(freedom: int) -> float:
 
 
 def numbers(jobs: Sequence[Job], metric: str) -> list[float]:
-    """A metric of those jobs that have it."""
+    """Values of a metric, for the jobs that have it."""
     return [x for job in jobs if (x := job.number(metric)) is not None]
 
 
 def collect(folder: Path) -> Collection:
-    """Read every metrics.json below a folder; nothing that lies there can stop it.
+    """Read every metrics.json below a folder; unreadable files are skipped and listed.
 
     Args:
-        folder: existing.
+        folder: an existing folder.
     """
     found = Collection([], [], [])
 
@@ -205,9 +205,9 @@ def _read(found: Collection, folder: Path, here: Path) -> None:
         found.skipped.append((_name(folder, here / "metrics.json"), reason or "cannot be read"))
         return
     given = metrics.pop("overrides", None)
-    # Runs of other versions do not tell, but their folders' names do.
-    told = given if isinstance(given, list) else BETWEEN.split(here.name) if "=" in here.name else []
-    overrides = dict(_override(str(text)) for text in told)
+    # Runs of other versions do not record their overrides, but their folder names contain them.
+    texts = given if isinstance(given, list) else BETWEEN.split(here.name) if "=" in here.name else []
+    overrides = dict(_override(str(text)) for text in texts)
     if isinstance(metrics.get("experiment"), str):
         overrides = {"experiment": _writable(metrics["experiment"])} | overrides
     found.jobs.append(Job(name, overrides, metrics))
@@ -220,10 +220,10 @@ def _override(text: str) -> tuple[str, str]:
 
 def _name(folder: Path, path: Path) -> str:
     relative = str(path.relative_to(folder)) if path != folder else path.resolve().name
-    # Names that are no UTF-8 could not be written.
+    # Names that are not UTF-8 could not be written.
     return os.fsencode(relative).decode("utf-8", "backslashreplace")
 
 
 def _writable(text: str) -> str:
-    """JSON may hold halves of signs, which are no text."""
+    """Replace surrogate halves, which JSON may contain but text files may not."""
     return text.encode("utf-8", "backslashreplace").decode()

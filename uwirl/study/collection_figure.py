@@ -16,20 +16,20 @@ from uwirl.study.atomic_io import write_figure
 from uwirl.study.collection import MAIN, Collection, Job, as_number, numbers, told
 
 COLUMNS = 3
-# Far more than can be told apart; as many as 10,000 would take minutes, and more pixels than an image may have.
+# More cannot be distinguished in a figure; 10,000 would take minutes, and more pixels than an image may have.
 MOST_GROUPS = 200
-# Of which a legend names no more.
+# Largest number of entries in a legend.
 MOST_NAMED = 24
-# Of a line of a group's overrides, in characters.
+# Length of a line in the label of a group, in characters.
 WIDTH = 48
 
 
 def draw(collection: Collection, folder: Path) -> list[Path]:
-    """boxes.png and learning_curves.png, where there is anything to show; returns those written.
+    """Draw boxes.png and learning_curves.png, if there is anything to show; returns the written files.
 
     Args:
-        collection: what to show.
-        folder: made when missing.
+        collection: runs to show.
+        folder: created if missing.
     """
     found = {key: group for key, group in collection.groups().items() if group}
     labels = [_label(collection, key, len(found)) for key in told(list(found))]
@@ -47,13 +47,13 @@ def draw(collection: Collection, folder: Path) -> list[Path]:
 
 
 def _spread(jobs: Sequence[Job], metric: str) -> bool:
-    """Whether boxes would show anything that the table does not: a number, and not the same one in all jobs."""
+    """Whether boxes show more than the table: the metric is a number and differs between jobs."""
     truths = any(isinstance(job.metrics.get(metric), bool) for job in jobs)
     return not truths and len(set(numbers(jobs, metric))) > 1
 
 
 def boxes_figure(groups: Mapping[str, Sequence[Job]], metrics: Sequence[str]) -> Figure:
-    """A panel for each metric, in it a box and the points of each group."""
+    """One panel per metric, with one box and the points of each group."""
     columns = min(COLUMNS, len(metrics))
     rows = -(-len(metrics) // columns)
     lines = sum(1 + label.count("\n") for label in groups)
@@ -78,7 +78,7 @@ def boxes_figure(groups: Mapping[str, Sequence[Job]], metrics: Sequence[str]) ->
 
 
 def curve(job: Job) -> list[float]:
-    """Cost of each policy iteration; empty where there is none."""
+    """Cost of each policy iteration; empty if there is none."""
     costs = job.metrics.get("cost_per_iteration")
     if not isinstance(costs, list):
         return []
@@ -86,7 +86,7 @@ def curve(job: Job) -> list[float]:
 
 
 def curves_figure(groups: Mapping[str, Sequence[Job]]) -> Figure:
-    """Cost over policy iterations, a line a job, a colour a group."""
+    """Cost over policy iterations, one line per job, one colour per group."""
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
     axes = figure.subplots()
     for k, (label, group) in enumerate(groups.items()):
@@ -101,8 +101,8 @@ def curves_figure(groups: Mapping[str, Sequence[Job]]) -> Figure:
 
 
 def _label(collection: Collection, key: tuple[str, ...], groups: int) -> str:
-    """Overrides of a group, in lines."""
+    """Overrides of a group, broken into lines."""
     text = ", ".join(f"{name}={value}" for name, value in zip(collection.varied, key, strict=True) if value)
-    # Matplotlib would read a formula between two dollar signs.
+    # Matplotlib would interpret text between two dollar signs as a formula.
     lines = textwrap.fill(text.replace("$", r"\$"), WIDTH, break_long_words=False, break_on_hyphens=False)
     return lines or ("all" if groups == 1 else "defaults")

@@ -10,7 +10,7 @@ from typing import Any
 
 from uwirl.study.collection import MAIN, Collection, Job, interval, numbers, told
 
-# Of what is no run; a folder of something else would fill the page.
+# Largest number of skipped files that are listed.
 MOST_SKIPPED = 20
 
 
@@ -18,7 +18,7 @@ def csv_table(collection: Collection) -> str:
     """A row for each job: its folder, overrides, status, error, then all metrics, lists as JSON."""
     overrides = list(dict.fromkeys(key for job in collection.jobs for key in job.overrides))
     known = dict.fromkeys(key for job in collection.jobs for key in job.metrics)
-    # A seed is a metric of every run, and a column of its own already where it is an override.
+    # The seed is a metric of every run, and already a column if it is an override.
     metrics = [key for key in known if key not in (*overrides, "job", "status", "error")]
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
@@ -37,7 +37,7 @@ def _cell(value: Any) -> str:
 
 
 def markdown(collection: Collection, title: str) -> str:
-    """Table of means with 95 % intervals by the overrides other than the seed; what failed, is incomplete or no run."""
+    """Means with 95 % intervals by the overrides other than the seed; failed, incomplete and skipped jobs."""
     failed = [job for job in collection.jobs if not job.complete]
     complete = len(collection.jobs) - len(failed)
     lines = [
@@ -54,10 +54,10 @@ def markdown(collection: Collection, title: str) -> str:
     if collection.incomplete:
         lines += ["", "## Incomplete: still running, or killed", "", *(f"- {name}" for name in collection.incomplete)]
     if collection.skipped:
-        told = collection.skipped[:MOST_SKIPPED]
-        lines += ["", "## Skipped", "", *(f"- {name}: {_line(reason)}" for name, reason in told)]
-        if len(told) < len(collection.skipped):
-            lines.append(f"- and {len(collection.skipped) - len(told)} more")
+        shown = collection.skipped[:MOST_SKIPPED]
+        lines += ["", "## Skipped", "", *(f"- {name}: {_line(reason)}" for name, reason in shown)]
+        if len(shown) < len(collection.skipped):
+            lines.append(f"- and {len(collection.skipped) - len(shown)} more")
     return "\n".join(lines) + "\n"
 
 
@@ -83,10 +83,10 @@ def _groups(collection: Collection) -> Iterator[str]:
 
 
 def short(collection: Collection, job: Job) -> str:
-    """A job by its varied overrides and its seed, or by its folder where these do not tell."""
-    told = {key: job.overrides[key] for key in (*collection.varied, "seed") if key in job.overrides}
-    same = [other for other in collection.jobs if all(other.overrides.get(key) == told[key] for key in told)]
-    return ", ".join(f"{key}={value}" for key, value in told.items()) if told and len(same) == 1 else job.name
+    """Name of a job: its varied overrides and its seed, or its folder if these are not unique."""
+    given = {key: job.overrides[key] for key in (*collection.varied, "seed") if key in job.overrides}
+    same = [other for other in collection.jobs if all(other.overrides.get(key) == given[key] for key in given)]
+    return ", ".join(f"{key}={value}" for key, value in given.items()) if given and len(same) == 1 else job.name
 
 
 def _error(job: Job) -> str:
@@ -98,7 +98,7 @@ def _line(text: str) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Markdown, its columns aligned for the terminal."""
+    """A Markdown table with columns aligned for the terminal."""
     cells = [[_line(cell).replace("|", "\\|") for cell in row] for row in (head, *rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     for k, row in enumerate(cells):

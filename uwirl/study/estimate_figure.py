@@ -20,10 +20,10 @@ from uwirl.snr.intervals import student_t
 from uwirl.study.snr_map import SnrMap
 from uwirl.world.readings import Readings
 
-# Told apart by the colour-blind (Okabe and Ito).
+# Colours that colour-blind people can distinguish (Okabe and Ito).
 BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "0.45"
 LEVELS = 14
-# More would hide the map.
+# More markers would hide the map.
 MOST_NAMES = 25
 
 
@@ -34,15 +34,15 @@ def estimate_figure(
 
     Args:
         readings: one data set.
-        estimate: of it.
-        diagnostics: of both.
-        snr_map: from one place.
-        names: of the sensors, [N].
+        estimate: its estimate.
+        diagnostics: diagnostics of readings and estimate.
+        snr_map: map of the links from one place.
+        names: names of the sensors, [N].
     """
     figure = Figure(figsize=(17.0, 10.0), layout="constrained")
     panels = figure.subplots(2, 3).flatten().tolist()
     _path_loss(panels[0], readings, estimate)
-    # Beside the sender the SNR would take all colours.
+    # The high SNR close to the sender would use the whole colour range.
     most = float(snr_map.mean[~snr_map.mean.isnan()].quantile(0.99))
     least = float(snr_map.mean.nan_to_num(most).min())
     _map(panels[1], snr_map, snr_map.mean, readings, "(b) expected SNR", "SNR (dB)", (least, most))
@@ -52,7 +52,7 @@ def estimate_figure(
     _map(panels[3], snr_map, snr_map.outage, readings, title, "outage probability", (0.0, 1.0))
     _quantiles(panels[4], diagnostics)
     _semivariogram(panels[5], diagnostics, estimate)
-    # Sensors without names are called by their positions, which the axes tell.
+    # Sensors without names have their positions as names, which the axes show already.
     if len(names) <= MOST_NAMES and not any(name.startswith("(") for name in names):
         _names(panels[1], readings.receivers, names)
     panels[1].legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3, frameon=False)
@@ -92,7 +92,7 @@ def _map(
     shown: tuple[float, float],
 ) -> None:
     levels = MaxNLocator(LEVELS, steps=[1, 2, 2.5, 5, 10]).tick_values(shown[0], max(shown[1], shown[0] + 1e-3))
-    # Contours fill what lies above the lowest level, not on it.
+    # Contours fill values above the lowest level, not equal to it.
     above = np.ma.masked_invalid(values.clamp_min(float(levels[0]) + 1e-6))
     beyond = "max" if float(values.nan_to_num(shown[0]).max()) > levels[-1] else "neither"
     x, y = snr_map.grid.x, snr_map.grid.y
@@ -106,7 +106,7 @@ def _map(
 
 
 def _names(axes: Axes, places: Tensor, names: tuple[str, ...]) -> None:
-    """Above and below the sensors by turns from left to right, so that neighbours do not collide."""
+    """Write names alternately above and below the sensors, from left to right, so that neighbours do not overlap."""
     order = places[:, 0].argsort().tolist()
     for turn, k in enumerate(order):
         offset = (0.0, 9.0 if turn % 2 else -9.0)
@@ -119,7 +119,7 @@ def _quantiles(axes: Axes, diagnostics: Diagnostics) -> None:
     z = diagnostics.standardized[~diagnostics.standardized.isnan()].sort().values
     m = len(z)
     normal = torch.special.ndtri((torch.arange(m, dtype=z.dtype) + 0.5) / m)
-    # Pointwise: an order statistic's standard deviation, to first order.
+    # Pointwise band: standard deviation of an order statistic, to first order.
     share = torch.special.ndtr(normal)
     density = torch.exp(-0.5 * normal.square()) / (2.0 * torch.pi) ** 0.5
     half = 1.96 * (share * (1.0 - share) / m).sqrt() / density
@@ -137,8 +137,8 @@ def _semivariogram(axes: Axes, diagnostics: Diagnostics, estimate: ChannelEstima
     axes.plot(bins.distance, bins.empirical, "o", color=BLUE, label="what path loss leaves")
     zeta2, varphi, rho2 = float(channel.zeta_dB**2), float(channel.varphi_m), float(channel.rho_dB**2)
     d = torch.linspace(0.0, float(bins.distance.max()), 300, dtype=torch.float64)
-    told = f"$\\zeta^2 = {zeta2:.2f}$, $\\varphi = {varphi:.1f}$ m, $\\rho^2 = {rho2:.2f}$"
-    label = f"fitted: {told}" if zeta2 else f"fitted: $\\zeta^2 + \\rho^2 = {rho2:.2f}$, correlation not told"
+    fit = f"$\\zeta^2 = {zeta2:.2f}$, $\\varphi = {varphi:.1f}$ m, $\\rho^2 = {rho2:.2f}$"
+    label = f"fitted: {fit}" if zeta2 else f"fitted: $\\zeta^2 + \\rho^2 = {rho2:.2f}$, correlation unidentifiable"
     axes.plot(d, rho2 - zeta2 * torch.expm1(-d / varphi), color=ORANGE, lw=2.0, label=label)
     axes.set(xlabel="distance between links $|p - p'| + |q - q'|$ (m)", ylabel="semivariogram (dB$^2$)")
     axes.set_title("(f) likeness of neighbouring links")

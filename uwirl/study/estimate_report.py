@@ -1,4 +1,4 @@
-"""What `uwirl-estimate` tells: a table of the channel, its diagnostics, and a sentence where something looks wrong."""
+"""Report of `uwirl-estimate`: a table of the channel, diagnostics, and a warning if something looks wrong."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.snr.intervals import intervals
 
 LABELS = ("K (dB)", "n", "zeta^2 (dB^2)", "varphi (m)", "rho^2 (dB^2)")
-# A good log is called wrong so rarely, by each judgement.
+# Probability with which each check reports a correct log as wrong.
 DOUBT = 0.001
-# Below so many readings moments say nothing.
+# Skewness and kurtosis need at least this many readings.
 LEAST = 20
 
 
@@ -24,8 +24,8 @@ def table(estimate: ChannelEstimate, readings: int) -> Iterator[str]:
     ends = intervals(estimate, readings)[0]
     yield f"{'parameter':<14} {'estimate':>10} {'std error':>10} {'95 % interval':>22}"
     for name, label, (low, high) in zip(NAMES, LABELS, ends.tolist(), strict=True):
-        value, std, told = (x.item() for x in estimate.parameter(name))
-        if told:
+        value, std, identifiable = (x.item() for x in estimate.parameter(name))
+        if identifiable:
             yield f"{label:<14} {value:>10.4g} {std:>10.2g} {f'{low:.4g} .. {high:.4g}':>22}"
         else:
             yield f"{label:<14} {'unidentifiable':>21}"
@@ -36,8 +36,8 @@ def diagnostic_metrics(diagnostics: Diagnostics, line: Tensor, names: tuple[str,
 
     Args:
         diagnostics: of m readings.
-        line: of the file, of each reading, [m].
-        names: of the sensors, [N].
+        line: line of the file for each reading, [m].
+        names: names of the sensors, [N].
     """
     worst, sensor = diagnostics.worst, diagnostics.worst_sensor
     return {
@@ -58,7 +58,7 @@ def diagnostic_metrics(diagnostics: Diagnostics, line: Tensor, names: tuple[str,
 
 
 def diagnosis(metrics: dict[str, Any], readings: int, sensors: int) -> Iterator[str]:
-    """Lines on what `diagnostic_metrics` found."""
+    """Lines of text about the results of `diagnostic_metrics`."""
     kriged, loss = metrics["leave_one_out_rmse_dB"], metrics["leave_one_out_rmse_path_loss_dB"]
     yield f"each reading predicted by the others: off by {kriged:.3g} dB rms, {loss:.3g} dB by path loss alone"
     moments = (
@@ -95,12 +95,12 @@ def _suspicions(metrics: dict[str, Any], readings: int, sensors: int) -> Iterato
     if readings >= LEAST and p < DOUBT:
         yield f"residuals are not normal (p = {p:.1g}): intervals and outage are less sure than they look"
     rms = metrics["residual_rms"]
-    # Of n independent ones the root mean square has standard deviation 1 / sqrt(2 n).
+    # The root mean square of n independent normal numbers has standard deviation 1 / sqrt(2 n).
     if abs(rms - 1.0) > max(0.1, 4.0 / math.sqrt(2.0 * readings)):
         more = "more" if rms > 1.0 else "less"
         yield f"residuals scatter {more} than the fitted fading says: {rms:.2f} of its standard deviations"
 
 
 def _beyond(z: float, count: int) -> bool:
-    """Whether the largest of so many normal numbers would be so large less often than DOUBT."""
+    """Whether the largest of n normal numbers exceeds this value with a probability below DOUBT."""
     return count * math.erfc(abs(z) / math.sqrt(2.0)) < DOUBT

@@ -1,4 +1,4 @@
-"""What an agent is worth: fly it on the true channel and measure."""
+"""Evaluation of agents: fly a mission on the true channel and measure."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Evaluation:
     """One mission of B worlds.
 
     Attributes:
-        trajectory: what was flown.
+        trajectory: the flown trajectory.
         link_capacity: mean capacity of each link, [n + 1, B, M + 1], kbit/s.
-        optimal_capacity: of the chain at its targets, kbit/s.
+        optimal_capacity: capacity of the chain at its targets, kbit/s.
         clearance: of each vehicle to the nearest obstacle, [n + 1, B, M], m; infinite in free water.
-        blocked: whether no way led to a vehicle's target at the end, [B, M].
+        blocked: whether the agent found no free route to the vehicle's target at the end, [B, M].
         cost_terms: J of each world by term (link, obstacle, vehicle, control), [B] each.
     """
 
@@ -41,12 +41,12 @@ class Evaluation:
 
     @property
     def chain_capacity(self) -> Tensor:
-        """Of the worst link (5), [n + 1, B], kbit/s."""
+        """Capacity of the worst link (5), [n + 1, B], kbit/s."""
         return self.link_capacity.amin(-1)
 
     @property
     def cost(self) -> Tensor:
-        """J, [B]."""
+        """Cost J of each world, [B]."""
         return torch.stack(list(self.cost_terms.values())).sum(0)
 
     def time_to_99_percent(self, world: int = 0) -> float | None:
@@ -64,7 +64,7 @@ class Evaluation:
         return float(torch.linalg.vector_norm(position[:, i] - position[:, j], dim=-1).min())
 
     def metrics(self, world: int = 0) -> dict[str, float | list | None]:
-        """The mission's entries of metrics.json."""
+        """The mission's entries in metrics.json."""
         capacity = self.chain_capacity[:, world]
         t99 = self.time_to_99_percent(world)
         arrival = self.trajectory.tau.shape[0] if t99 is None else round(t99 / self.trajectory.dt)
@@ -96,8 +96,8 @@ class Evaluator:
 
     Args:
         env: the worlds.
-        weights: of the running cost; the vehicle's true trim is what effort is counted from.
-        guard: between agent and thrusters; none if None.
+        weights: weights of the running cost; effort is measured from the vehicle's true trim.
+        guard: guard between agent and thrusters; none if None.
     """
 
     def __init__(self, env: Relay, weights: CostWeights | None = None, guard: Guard | None = None):
@@ -106,16 +106,16 @@ class Evaluator:
         self.mission = Mission(env, self.truth.channel, weights or CostWeights())
 
     def in_worlds(self, env: Relay) -> Evaluator:
-        """The same for other worlds."""
+        """The same evaluator for other worlds."""
         return Evaluator(env, self.mission.weights, self.guard)
 
     def fly(self, agent: Agent, start: WorldState | None = None) -> Evaluation:
-        """One mission from the scenario's start, or from elsewhere; see `Relay.rollout`."""
+        """Fly one mission from the scenario's start, or from another state; see `Relay.rollout`."""
         trajectory = self.env.rollout(Guarded(agent, self.guard), start)
         return self.judge(trajectory)
 
     def judge(self, trajectory: Trajectory) -> Evaluation:
-        """What a flight was worth."""
+        """Evaluate a flown trajectory."""
         scenario, cost, frame = self.env.scenario, self.mission.cost, self.mission.targets.frame
         xi, dt = frame.relative(trajectory.states), trajectory.dt
         position, time = trajectory.states.position, trajectory.time[:, None]
@@ -129,13 +129,13 @@ class Evaluator:
             link_capacity=self.truth.link_capacities_kbps(position),
             optimal_capacity=float(self.truth.link_capacities_kbps(frame.target).amin()),
             clearance=scenario.clearance(position, time),
-            # Only an agent that plans its way can tell.
+            # Only agents that plan routes report this.
             blocked=getattr(trajectory.carry, "blocked", nowhere),
             cost_terms={
                 "link": trapezoid(cost.link(xi)),
                 "obstacle": trapezoid(cost.obstacle(scenario.obstacles, position, time)),
                 "vehicle": trapezoid(cost.yaw(xi)),
-                # Held over each step, so the sum is exact.
+                # Control is constant over each step, so the sum is exact.
                 "control": cost.control(trajectory.tau - self.env.vehicle.trim).sum((0, -1)) * dt,
             },
         )
@@ -144,9 +144,9 @@ class Evaluator:
         """J of K iterates' actor weights from Q starts, all flown as one batch in the first world.
 
         Args:
-            learning: supplies the agent.
+            learning: creates the agent.
             weights: one set for all vehicles, [K, 1, n3], or one for each, [K, M, n3].
-            trim: tau that holds a vehicle at rest, [1 or M or more, 4], of the first world.
+            trim: tau that holds a vehicle at rest, [1 or at least M, 4]; rows of the first world are used.
             starts: eta, [Q, M, 4].
 
         Returns:

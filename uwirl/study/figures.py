@@ -44,9 +44,9 @@ def mission_figure(
     Args:
         scenario: the nodes.
         evaluation: the mission; its first world is drawn.
-        messages: what its links carry with shadowing.
-        records: policy iterations, none for a planner that does not learn.
-        basis: names of the weights; None with no records.
+        messages: link capacities with shadowing.
+        records: policy iterations; empty for planners that do not learn.
+        basis: gives the names of the weights; None without records.
     """
     trajectory = evaluation.trajectory
     time = trajectory.time.numpy()
@@ -81,8 +81,8 @@ def layouts_figure(env: Relay, evaluation: Evaluation, kind: Tensor) -> Figure:
 
     Args:
         env: the worlds flown.
-        evaluation: theirs.
-        kind: of each world, index into KINDS.
+        evaluation: evaluation of these worlds.
+        kind: kind of each world, index into KINDS.
     """
     kind = kind[: env.worlds]
     kinds = kind.unique().tolist()
@@ -104,7 +104,7 @@ def layouts_figure(env: Relay, evaluation: Evaluation, kind: Tensor) -> Figure:
 
 
 def gap_figure(gaps: Mapping[str, Tensor]) -> Figure:
-    """J above the optimiser's, in %: for each planner a point a layout, and the median."""
+    """Gap of J to the optimiser, in %: one point per layout for each planner, and the median."""
     figure, axes = plt.subplots(figsize=(8.0, 0.7 * len(gaps) + 1.5), layout="constrained")
     for row, gap in enumerate(gaps.values()):
         spread = np.linspace(-0.25, 0.25, len(gap))
@@ -191,7 +191,7 @@ def _capacities(axes: Axes, time: NDArray, evaluation: Evaluation, messages: Lin
 
 
 def _series(axes: Axes, time: NDArray, values: NDArray, labels: Sequence[str], title: str, unit: str) -> None:
-    """Values [n, M, k]: a colour each of the k, a line style each vehicle."""
+    """Plot values [n, M, k]: one colour for each of the k, one line style for each vehicle."""
     for j, label in enumerate(labels):
         for i in range(values.shape[1]):
             axes.plot(time, values[:, i, j], label=None if i else label, color=f"C{j}", ls=STYLES[i % 4], lw=1.1)

@@ -1,4 +1,4 @@
-"""What a checkpoint says of a learner, and back: its state, what it did so far, and what another run may take over."""
+"""Learners in checkpoints: saving and restoring state and history, and parts that another run can use."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from uwirl.study.checkpoint import CheckpointError
 from uwirl.world.acoustics import LinkBudget
 from uwirl.world.trajectory import WorldState
 
-# Without these no run can have written it.
+# Keys that every checkpoint of a run contains.
 NEEDED = ("config", "config_hash", "overrides", "estimate", "actor", "trim", "features", "iteration")
 _NUMBERS = ("iteration", "seconds", "weight_change", "converged", "rows", "closes")
 
@@ -28,11 +28,11 @@ def load(path: Path, device: str = "cpu") -> dict[str, Any]:
     """Load a run's checkpoint.
 
     Args:
-        path: of the file.
-        device: where its tensors shall be.
+        path: path of the file.
+        device: device for its tensors.
 
     Raises:
-        CheckpointError: see `checkpoint.load`; or no run has written it.
+        CheckpointError: see `checkpoint.load`; or the file was not written by a run.
     """
     content = checkpoint.load(path, device)
     missing = [name for name in NEEDED if name not in content]
@@ -48,14 +48,14 @@ def history_of(records: Sequence[IterationRecord]) -> dict[str, Any]:
 
 
 def records_of(history: dict[str, Any]) -> list[IterationRecord]:
-    """The records behind `history_of`."""
+    """The records saved by `history_of`."""
     names = (*_NUMBERS, "critic", "actor")
     rows = zip(*(history[name] for name in names), strict=True)
     return [IterationRecord(**dict(zip(names, row, strict=True))) for row in rows]
 
 
 def learner_of(state: LearningState) -> dict[str, Any]:
-    """A learner's state as plain data, but for its newest iterates, which are the last of its history."""
+    """A learner's state as plain data, without its newest iterates, which are the last ones of its history."""
     learner, flight = state.learner, state.flight
     return {
         "flight": {"world": dict(flight.world._asdict()), "leg": flight.leg},
@@ -70,10 +70,10 @@ def learner_of(state: LearningState) -> dict[str, Any]:
 
 
 def records_so_far(path: Path, content: dict[str, Any]) -> list[IterationRecord]:
-    """Of a learner that is to go on.
+    """Records of a learner that will continue.
 
     Raises:
-        CheckpointError: the checkpoint holds a policy alone.
+        CheckpointError: the checkpoint contains only a policy.
     """
     if "learner" not in content:
         raise CheckpointError(f"{path}: holds a policy but no learner to continue; resume from last.pt")
@@ -81,11 +81,11 @@ def records_so_far(path: Path, content: dict[str, Any]) -> list[IterationRecord]
 
 
 def restore(learning: Learning, content: dict[str, Any]) -> LearningState:
-    """The state behind `learner_of`.
+    """The state saved by `learner_of`.
 
     Args:
-        learning: whose state it is.
-        content: of the checkpoint.
+        learning: the learning process to which the state belongs.
+        content: content of the checkpoint.
     """
     saved, last = content["learner"], records_of(content["history"])[-1]
     solver = type(learning.iteration.solver.init(last.actor))(**saved["solver"])
@@ -97,21 +97,21 @@ def restore(learning: Learning, content: dict[str, Any]) -> LearningState:
 
 
 def features_of(basis: Basis) -> dict[str, Any]:
-    """Names of a basis' features: what its weights mean."""
+    """Names of the features of a basis, which give its weights their meaning."""
     return {"critic": list(basis.critic_names), "actor": [list(names) for names in basis.actor_names]}
 
 
 def take_estimate(path: Path, content: dict[str, Any], budget: LinkBudget, vehicles: int) -> ChannelEstimate:
-    """The channel estimate of another run; that of one vehicle serves any number.
+    """The channel estimate of another run; an estimate of one vehicle is used for all vehicles.
 
     Args:
-        path: of the checkpoint, for messages.
-        content: of the checkpoint.
-        budget: what is known of links here.
-        vehicles: M.
+        path: path of the checkpoint, for messages.
+        content: content of the checkpoint.
+        budget: link budget of this run.
+        vehicles: number of vehicles M.
 
     Raises:
-        CheckpointError: it is of several vehicles, and not of so many.
+        CheckpointError: it has estimates of several vehicles, but not of M.
     """
     estimate = ChannelEstimate.from_state(content["estimate"], budget)
     found = len(estimate.value)
@@ -124,16 +124,16 @@ def take_estimate(path: Path, content: dict[str, Any], budget: LinkBudget, vehic
 
 
 def take_weights(path: Path, content: dict[str, Any], basis: Basis, learners: int) -> Tensor:
-    """The actor's weights of another run, [L, n3]; one set of them serves any number of learners.
+    """The actor's weights of another run, [L, n3]; one set is used for all learners.
 
     Args:
-        path: of the checkpoint, for messages.
-        content: of the checkpoint.
-        basis: whose weights they shall be.
-        learners: L.
+        path: path of the checkpoint, for messages.
+        content: content of the checkpoint.
+        basis: the basis for which the weights are used.
+        learners: number of learners L.
 
     Raises:
-        CheckpointError: other features, or several sets of weights and not so many.
+        CheckpointError: the features differ, or there are several sets of weights, but not L.
     """
     theirs = [name for axis in content["features"]["actor"] for name in axis]
     ours = [name for axis in basis.actor_names for name in axis]

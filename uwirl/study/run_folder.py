@@ -1,4 +1,4 @@
-"""What a run leaves behind: config.yaml, metrics.json, trajectory.npz; and whose a folder is."""
+"""Files of a run: config.yaml, metrics.json, trajectory.npz; and which run a folder belongs to."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from uwirl.study.shadowing import LinksAtMessages
 
 log = logging.getLogger("uwirl")
 
-# Of metrics.json, which is 3 kB, or a few MB with the costs of a long learning.
+# Largest size of metrics.json, which has 3 kB, or a few MB with the costs of many iterations.
 MOST_BYTES = 10**8
 
-# What a run writes besides config.yaml and run.log.
+# Files that a run writes in addition to config.yaml and run.log.
 RESULTS = ("metrics.json", "trajectory.npz", "layouts.npz", "estimate.npz", "checkpoints", "figures", "tb")
 
 
 class FolderError(ValueError):
-    """A folder that is not this run's to write into; the message names it."""
+    """A folder that this run must not write into; the message names it."""
 
 
 def config_hash(config: Config | EstimateConfig, start: str | None = None) -> str:
-    """Hash of everything that changes the result: not of logging, checkpoints and paths.
+    """Hash of all settings that change the result: not of logging, checkpoints and paths.
 
     Args:
         config: the settings.
-        start: digest of the checkpoint that a run starts from.
+        start: digest of the checkpoint from which a run starts.
     """
     relevant = _relevant(asdict(config))
     if "init_from" in relevant:
@@ -51,17 +51,17 @@ def config_hash(config: Config | EstimateConfig, start: str | None = None) -> st
 
 
 def write_config(folder: Path, config: Config | EstimateConfig) -> None:
-    """config.yaml, resolved."""
+    """Write the resolved configuration to config.yaml."""
     write_whole(folder / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(asdict(config))).encode())
 
 
 def write_metrics(folder: Path, metrics: dict[str, Any]) -> None:
-    """metrics.json, one flat object, whole or not at all. Infinite values and NaN become null: JSON has neither."""
+    """Write metrics.json, one flat object, atomically. Infinite values and NaN become null: JSON has neither."""
     write_whole(folder / "metrics.json", (json.dumps(_finite(metrics), indent=2) + "\n").encode())
 
 
 def close(folder: Path, metrics: dict[str, Any]) -> None:
-    """Write the metrics of a run that has ended; one whose metrics cannot be written has failed."""
+    """Write the metrics of a run that has ended; if they cannot be written, the run has failed."""
     try:
         write_metrics(folder, metrics)
     except OSError as error:
@@ -70,11 +70,11 @@ def close(folder: Path, metrics: dict[str, Any]) -> None:
 
 
 def read_metrics(folder: Path) -> dict[str, Any]:
-    """What metrics.json holds.
+    """Content of metrics.json.
 
     Raises:
-        OSError: there is none, or it cannot be read.
-        ValueError: it is no run's.
+        OSError: the file is missing or cannot be read.
+        ValueError: the content was not written by a run.
     """
     try:
         metrics = json.loads(read_whole(folder / "metrics.json", MOST_BYTES))
@@ -86,7 +86,7 @@ def read_metrics(folder: Path) -> dict[str, Any]:
 
 
 def is_complete(folder: Path, config_hash: str) -> bool:
-    """Whether a folder holds the results of the configuration with this hash."""
+    """Whether a folder contains the results of the configuration with this hash."""
     try:
         metrics = read_metrics(folder)
     except (OSError, ValueError):
@@ -95,7 +95,7 @@ def is_complete(folder: Path, config_hash: str) -> bool:
 
 
 def has_results(folder: Path) -> bool:
-    """Whether a folder holds what a run has found, be it complete or not."""
+    """Whether a folder contains results of a run, complete or not."""
     try:
         complete = read_metrics(folder)["status"] == "complete"
     except (OSError, ValueError):
@@ -104,16 +104,16 @@ def has_results(folder: Path) -> bool:
 
 
 def _relevant(settings: Mapping[Any, Any]) -> dict[str, Any]:
-    """Those that change the result."""
+    """The settings that change the result."""
     return {str(key): value for key, value in settings.items() if key not in FREE}
 
 
 @contextmanager
 def held(folder: Path) -> Iterator[None]:
-    """Keep other processes out of a folder; however this one ends, its hold ends with it.
+    """Lock a folder against other processes; the lock ends with this process, however it ends.
 
     Raises:
-        FolderError: another process has it.
+        FolderError: another process has locked it.
     """
     if sys.platform == "win32":
         yield
@@ -126,30 +126,30 @@ def held(folder: Path) -> Iterator[None]:
         except BlockingIOError:
             raise FolderError(f"{folder}: another process is running in it; wait for it, or choose another") from None
         except OSError:
-            # A file system without locks: then who starts two runs in one folder must see to it himself.
+            # The file system has no locks: then users must not start two runs in the same folder.
             pass
         yield
 
 
 def check_free(folder: Path, config: Config | EstimateConfig) -> None:
-    """Raises FolderError where another configuration's run has been, or one of whose settings nothing is known."""
+    """Raise FolderError if the folder contains a run with another configuration or with unknown settings."""
     path = folder / "config.yaml"
     if not path.exists():
-        # An experiment's script leaves no settings.
+        # The scripts in experiments/ write no settings.
         if (folder / "metrics.json").exists():
             raise _another(folder)
         return
     try:
         settings = OmegaConf.to_container(OmegaConf.load(path))
     except Exception:
-        # Damaged in whatever way, it is not this configuration.
+        # A damaged file does not count as this configuration.
         settings = None
     if not isinstance(settings, dict) or _relevant(settings) != _relevant(asdict(config)):
         raise _another(folder)
 
 
 def check_own(folder: Path, config_hash: str) -> None:
-    """Raises FolderError where a run has been that is not, for certain, the one with this hash."""
+    """Raise FolderError if the folder contains a run that is not certainly the one with this hash."""
     if not any((folder / name).exists() for name in ("config.yaml", "metrics.json")):
         return
     try:
@@ -165,8 +165,8 @@ def _another(folder: Path) -> FolderError:
 
 
 def clear(folder: Path) -> None:
-    """Remove what an earlier run left, so that none of it passes for the next one's; nothing where no run has been."""
-    # The folder may be someone's own: hydra.run.dir=. is allowed.
+    """Remove the files of an earlier run, so that they are not taken for the next one's; only in run folders."""
+    # The folder may contain other files of the user: hydra.run.dir=. is allowed.
     traces = (folder / "config.yaml", folder / "metrics.json")
     if not any(path.is_file() and path.stat().st_size for path in traces):
         return
@@ -187,23 +187,23 @@ def _finite(value: Any) -> Any:
 
 
 def estimate_metrics(estimate: ChannelEstimate) -> dict[str, Any]:
-    """Its parameters as entries of metrics.json: a number, or a list of one for each data set."""
+    """Parameters of an estimate as entries of metrics.json: a number, or a list with one for each data set."""
     metrics: dict[str, Any] = {}
     for name in NAMES:
         parameter = estimate.parameter(name)
-        told = parameter.identifiable.tolist()
-        # What cannot be told is no number.
-        values, stds = ([x if t else None for x, t in zip(xs.tolist(), told, strict=True)] for xs in parameter[:2])
-        for key, row in (("", values), ("_std", stds), ("_identifiable", told)):
+        known = parameter.identifiable.tolist()
+        # Unidentifiable values become null.
+        values, stds = ([x if t else None for x, t in zip(xs.tolist(), known, strict=True)] for xs in parameter[:2])
+        for key, row in (("", values), ("_std", stds), ("_identifiable", known)):
             metrics[f"estimate_{name}{key}"] = row[0] if len(row) == 1 else row
     return metrics
 
 
 def write_trajectory(folder: Path, evaluation: Evaluation, messages: LinksAtMessages) -> None:
-    """trajectory.npz of the mission's first world.
+    """Write trajectory.npz, with the mission of the first world.
 
-    time_s [n + 1], eta, nu [n + 1, M, 4], tau [n, M, 4], link_capacity_kbps [n + 1, M + 1] of path loss alone, and with
-    shadowing link_capacity_shadowed_kbps [k, M + 1] at message_time_s [k].
+    time_s [n + 1], eta, nu [n + 1, M, 4], tau [n, M, 4], link_capacity_kbps [n + 1, M + 1] from path loss alone, and
+    with shadowing link_capacity_shadowed_kbps [k, M + 1] at message_time_s [k].
     """
     trajectory = evaluation.trajectory
     write_arrays(

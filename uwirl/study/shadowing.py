@@ -1,4 +1,4 @@
-"""What shadowing does to a mission, and how well it was foreseen."""
+"""Effect of shadowing on a mission, and accuracy of its prediction."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from uwirl.world.relay import Relay
 from uwirl.world.trajectory import Trajectory
 from uwirl.world.truth import truth_of
 
-# Of the map on which predictions are compared with the truth.
+# Points of the map on which predictions are compared with the truth.
 MAP_SPACING_M = 2.0
-# Messages whose shadowing is evaluated together.
+# Number of messages whose shadowing is evaluated together.
 CHUNK = 1024
 
 
 class LinksAtMessages(NamedTuple):
-    """What links carry when messages are sent.
+    """Capacities of the links at the times of messages.
 
     Attributes:
         time: [k], s.
-        link_capacity: of path loss and shadowing, [k, M + 1], kbit/s.
+        link_capacity: capacity with path loss and shadowing, [k, M + 1], kbit/s.
     """
 
     time: Tensor
@@ -35,7 +35,7 @@ class LinksAtMessages(NamedTuple):
 
 
 def messages(env: Relay, trajectory: Trajectory) -> LinksAtMessages:
-    """Of the first world's mission, every `scenario.message_period`."""
+    """Link capacities in the first world's mission, every `scenario.message_period`."""
     every = round(env.scenario.message_period / env.scenario.dt)
     position = trajectory.eta[::every, :1, :, :3]
     capacity = [truth_of(env).link_capacities_kbps(part, shadowed=True)[:, 0] for part in position.split(CHUNK)]
@@ -43,17 +43,17 @@ def messages(env: Relay, trajectory: Trajectory) -> LinksAtMessages:
 
 
 def shadowed_capacities(env: Relay, trajectory: Trajectory, targets: ChainTargets) -> dict[str, float]:
-    """The chain's capacity with path loss and shadowing, at the start, at the end and at most, entries of metrics.json.
+    """Entries of metrics.json: the chain's capacity with shadowing at the start, at the end and at the optimum.
 
     Args:
-        env: of one world.
+        env: environment of one world.
         trajectory: the mission.
-        targets: of the mean channel.
+        targets: targets of the mean channel.
     """
     best = shadowed_targets(env.scenario, truth_of(env).snr_dB, targets.frame.target)
     places = torch.cat([trajectory.eta[[0, -1], 0, :, :3], best[None]])
     start, end, optimal = truth_of(env).link_capacities_kbps(places[:, None], shadowed=True)[:, 0].amin(-1).tolist()
-    # The search ends at a spacing; a vehicle that has come to rest on a peak is part of it.
+    # The search has a finite spacing; the vehicles' final positions, which may be better, are included.
     return {
         "capacity_initial_kbps": start,
         "capacity_final_kbps": end,
@@ -62,7 +62,7 @@ def shadowed_capacities(env: Relay, trajectory: Trajectory, targets: ChainTarget
 
 
 def map_grid(env: Relay, spacing_m: float = MAP_SPACING_M) -> tuple[Tensor, Tensor]:
-    """Axes x [X] and y [Y] of a horizontal map between and around the nodes, m: as wide as sensors are spread."""
+    """Axes x [X] and y [Y] of a horizontal map around the nodes, m; it covers the box of the sensors."""
     ends = torch.stack([env.scenario.source, env.scenario.destination]).double()
     margin = 0.25 * torch.linalg.vector_norm(ends[0] - ends[1])
     low, high = ends.amin(0) - margin, ends.amax(0) + margin
@@ -71,7 +71,7 @@ def map_grid(env: Relay, spacing_m: float = MAP_SPACING_M) -> tuple[Tensor, Tens
 
 
 def map_rmse_dB(env: Relay, kriging: Kriging) -> float:
-    """Root mean square error of the kriged SNR from source and destination to a map at their mean depth, dB."""
+    """RMS error of the kriged SNR of links from source and destination to a map at their mean depth, dB."""
     nodes = [env.scenario.source.double(), env.scenario.destination.double()]
     depth = float(0.5 * (nodes[0][2] + nodes[1][2]))
     places = torch.cartesian_prod(*map_grid(env))
@@ -85,16 +85,16 @@ def map_rmse_dB(env: Relay, kriging: Kriging) -> float:
 
 
 def map_targets(env: Relay, kriging: Kriging, targets: ChainTargets) -> Tensor:
-    """Where a map puts the vehicles, [M, 3], m."""
+    """Best positions of the vehicles on a map, [M, 3], m."""
     return shadowed_targets(env.scenario, kriging.mean, targets.frame.target)
 
 
 def summary(
     env: Relay, trajectory: Trajectory, targets: ChainTargets, readings: list[Readings], estimate: ChannelEstimate
 ) -> dict[str, Any]:
-    """All of these, entries of metrics.json.
+    """All entries of metrics.json about shadowing.
 
-    With one vehicle that can tell the shadowing, also where its map would put it, and what it would carry there.
+    For one vehicle with identifiable shadowing, also its best position on the map, and the true capacity there.
     """
     metrics: dict[str, Any] = shadowed_capacities(env, trajectory, targets)
     channels = [estimate.select(torch.tensor([i])).channel for i in range(len(readings))]

@@ -1,4 +1,4 @@
-"""A horizontal map of the SNR, its uncertainty and outage that readings let expect of links from one place."""
+"""A horizontal map of the predicted SNR, its uncertainty and outage, for links from one place."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from torch import Tensor
 from uwirl.snr.kriging import Kriging
 
 NODES = 3500
-# Around the places, as a share of the longest distance between them along an axis.
+# Margin of the map, as a fraction of the largest distance between places along an axis.
 MARGIN = 0.1
-# Of nodes and readings, a factor of the time: some minutes.
+# Largest product of nodes and readings, proportional to the time: some minutes.
 MAX_ENTRIES = 2**30
-# Nearer than this to the sender (K is the SNR at 1 m, of point-like nodes) path loss says nothing.
+# Closer to the sender than this, the path-loss model is not valid (K refers to 1 m).
 NEAREST_M = 1.0
 
 
 class Grid(NamedTuple):
-    """Where the map is.
+    """Grid points of a map.
 
     Attributes:
         x: [X], m.
@@ -42,16 +42,16 @@ class Grid(NamedTuple):
 
 
 class SnrMap(NamedTuple):
-    """Of links from one place to a grid; nan beside that place.
+    """A map of links from one place to a grid; nan close to that place.
 
     Attributes:
-        grid: as named.
-        sender: [3], m.
+        grid: grid points.
+        sender: position of the sender, [3], m.
         mean: expected SNR, path loss and shadowing, [Y, X], dB.
         std: its standard deviation, [Y, X], dB.
         capacity: at that SNR, [Y, X], kbit/s.
-        threshold: what counts as outage below it, kbit/s.
-        outage: probability that the link carries less, [Y, X].
+        threshold: a smaller capacity counts as outage, kbit/s.
+        outage: probability of outage, [Y, X].
     """
 
     grid: Grid
@@ -64,16 +64,16 @@ class SnrMap(NamedTuple):
 
 
 def make_grid(places: Tensor, z: float, spacing: float | None, readings: int) -> Grid:
-    """Around places.
+    """A grid around places.
 
     Args:
         places: [k, 3], m.
-        z: of the map, m.
+        z: height of the map, m.
         spacing: m; None for about NODES nodes.
-        readings: how many the map is kriged from.
+        readings: number of readings used for Kriging.
 
     Raises:
-        ValueError: fewer nodes than a map has, or more than there is time for.
+        ValueError: too few nodes for a map, or so many that it would take too long.
     """
     low, high = places.amin(0), places.amax(0)
     margin = MARGIN * float((high - low).max())
@@ -89,7 +89,7 @@ def make_grid(places: Tensor, z: float, spacing: float | None, readings: int) ->
             f"choose more than {1.01 * least:.2g} m"
         )
     x, y = (torch.arange(a, b + 1e-9 * spacing, spacing, dtype=torch.float64) for a, b in ((x0, x1), (y0, y1)))
-    # In the middle of what is left over.
+    # The grid is centred in the covered range.
     return Grid(x + 0.5 * (x1 - x[-1]), y + 0.5 * (y1 - y[-1]), z, spacing)
 
 
@@ -97,10 +97,10 @@ def make_map(kriging: Kriging, grid: Grid, sender: Tensor, threshold_kbps: float
     """Krige the links from a place.
 
     Args:
-        kriging: of the readings.
-        grid: where to.
-        sender: [3], m, the vehicle's end of the links.
-        threshold_kbps: what counts as outage below it; None for half of the map's median capacity.
+        kriging: predictor from the readings.
+        grid: grid points.
+        sender: the vehicle's end of the links, [3], m.
+        threshold_kbps: a smaller capacity counts as outage; None for half of the map's median capacity.
     """
     places = grid.places
     distance = torch.linalg.vector_norm(places - sender, dim=-1)

@@ -1,4 +1,4 @@
-"""TensorBoard of a run: what it learns while it learns it, and what came of it; tags carry units."""
+"""TensorBoard events of a run: weights during learning, and results; tags include units."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import LinksAtMessages
 
-# Of metrics.json, beside the settings in parallel coordinates.
+# Metrics shown with the settings in parallel coordinates.
 COMPARED = (
     "cost_total",
     "capacity_final_mean_kbps",
@@ -36,18 +36,18 @@ COLOURS = ((31, 119, 180), (255, 127, 14), (44, 160, 44), (214, 39, 40), (148, 1
 
 
 class TensorBoard:
-    """Writes one run's events, and closes them whatever the run ends in.
+    """Writes the events of one run, and closes the files however the run ends.
 
     Args:
-        folder: where the event files go; None for nowhere.
+        folder: folder for the event files; None to write nothing.
 
     Attributes:
-        continues: whether there are some of an interrupted run already.
+        continues: whether the folder already contains events of an interrupted run.
     """
 
     def __init__(self, folder: Path | None):
         self.continues = folder is not None and folder.exists()
-        # The writer's own thread tells of a full disk by a traceback, and here the same error is raised again.
+        # On a full disk, the writer's own thread prints a traceback, and the same error is raised here again.
         self._before, threading.excepthook = threading.excepthook, _tell_all_but_os_errors
         self.writer: Any = _Nowhere() if folder is None else SummaryWriter(str(folder))
 
@@ -61,7 +61,7 @@ class TensorBoard:
             threading.excepthook = self._before
 
     def flush(self) -> None:
-        """Write what is waiting, lest it be lost if the run is killed."""
+        """Write buffered events, so that they are not lost if the run is killed."""
         self.writer.flush()
 
     def config(self, config: Config) -> None:
@@ -112,27 +112,27 @@ class TensorBoard:
         self.writer.add_mesh("path", path.flatten(0, 1)[None], colours.repeat(len(path), 1)[None], config_dict=points)
 
     def picture(self, path: Path) -> None:
-        """A figure that has been drawn; needs matplotlib, which drew it."""
+        """Add a figure drawn with matplotlib."""
         from matplotlib.image import imread
 
         self.writer.add_image(f"figures/{path.stem}", imread(path)[..., :3], dataformats="HWC")
 
     def compare(self, experiment: str, seed: int, overrides: Sequence[str], metrics: Mapping[str, Any]) -> None:
-        """What was asked for beside results, so that runs of a sweep can be compared in parallel coordinates.
+        """Write settings and results, to compare the runs of a sweep in parallel coordinates.
 
-        The summaries are written one by one, because `SummaryWriter.add_hparams` would make a second run. All settings
-        would be a hundred coordinates: they stand in the text `config`.
+        The summaries are written one by one, because `SummaryWriter.add_hparams` would create a second run. Only some
+        settings are included, because there are about a hundred; all of them are in the text `config`.
 
         Args:
-            experiment: its name.
-            seed: of the run.
-            overrides: as on the command line, key=value.
-            metrics: of which COMPARED are shown.
+            experiment: name of the experiment.
+            seed: seed of the run.
+            overrides: overrides as on the command line, key=value.
+            metrics: results; those in COMPARED are shown.
         """
         pairs = (override.lstrip("+~").partition("=")[::2] for override in overrides)
         asked = {key: value for key, value in pairs if not key.startswith(("logging", "hydra"))}
         settings: dict[str, Any] = {key: _number_or_text(value) for key, value in asked.items()}
-        # TensorBoard takes the columns of all runs from the first that it finds; these are in each.
+        # TensorBoard takes the columns for all runs from the first run that it finds; all runs have these.
         others = sorted(
             f"{key}={value}" for key, value in asked.items() if key not in ("experiment", "ablation", "seed")
         )
@@ -145,9 +145,9 @@ class TensorBoard:
             self.writer.add_scalar(f"result/{name}", value, 0)
 
 
-def _tell_all_but_os_errors(told: threading.ExceptHookArgs) -> None:
-    if not issubclass(told.exc_type, OSError):
-        threading.__excepthook__(told)
+def _tell_all_but_os_errors(failure: threading.ExceptHookArgs) -> None:
+    if not issubclass(failure.exc_type, OSError):
+        threading.__excepthook__(failure)
 
 
 class _Nowhere:
