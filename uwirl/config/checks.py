@@ -72,6 +72,7 @@ class MadeConfig(Section):
     Attributes:
         family: what is made, which is also the group of its options.
         names: those of uwirl's options with these settings; none where any name, or no name, will do.
+        files: every schema that files of a group name in their defaults list, by group and name.
     """
 
     target: str | None = None  # package.module.Class of uwirl, or of your own: docs/extending.md
@@ -79,9 +80,12 @@ class MadeConfig(Section):
 
     family: ClassVar[str] = ""
     names: ClassVar[tuple[StrEnum, ...]] = ()
+    files: ClassVar[dict[tuple[str, str], type]] = {}
 
-    def __init_subclass__(cls, family: str = "", names: tuple[StrEnum, ...] = ()) -> None:
+    def __init_subclass__(cls, family: str = "", names: tuple[StrEnum, ...] = (), file: str = "") -> None:
         cls.family, cls.names = family or cls.family, names
+        if file:
+            cls.files[cls.family, file] = cls
 
     def values(self) -> dict[str, Any]:
         """What the object is made from besides `settings`, by name."""
