@@ -27,11 +27,10 @@ from yaml import YAMLError
 
 from uwirl.config.ablations import check_ablation
 from uwirl.config.checks import ConfigError
-from uwirl.config.groups import Groups, is_schema
+from uwirl.config.groups import Groups, is_schema, none_of
 from uwirl.config.keys import Keys, field_types
 from uwirl.config.overrides import section_of
 from uwirl.config.schema import Config, register
-from uwirl.config.suggestions import did_you_mean, listed, similar
 
 # What files that do not fit together end in.
 REFUSALS = (HydraException, OmegaConfBaseException, YAMLError, ValueError)
@@ -247,8 +246,7 @@ def _not_there(path: str, options: Sequence[str]) -> ConfigError:
     extra = EXTRAS.get(path) or (None if options else EXTRAS.get(group))
     if extra:
         return ConfigError(group, f"{option!r} needs a plugin, pip install 'uwirl[{extra}]'")
-    near = did_you_mean([f"{group}={name}" for name in similar(option, options)])
-    return ConfigError(group or path, f"{option!r} is none of {listed(options)}{near}")
+    return none_of(group or path, option, options)
 
 
 def _check_files(groups: Groups, chosen: Sequence[str]) -> None:
