@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -11,6 +10,8 @@ from enum import StrEnum
 from typing import Any, ClassVar
 
 from omegaconf import MISSING
+
+from uwirl.config.suggestions import did_you_mean, listed, similar
 
 AXES = ("surge", "sway", "heave", "yaw")
 MAX_STEPS = 1_000_000
@@ -173,9 +174,7 @@ def low_high(values: list[float]) -> str | None:
 def unlike(value: str, names: Iterable[str]) -> str | None:
     """What is wrong with a name that is none of some; the nearest one is suggested."""
     names = [str(name) for name in names]
-    near = difflib.get_close_matches(value, names, 1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    return None if value in names else f"{value!r} is none of {', '.join(names)}{hint}"
+    return None if value in names else f"{value!r} is none of {listed(names)}{did_you_mean(similar(value, names, 1))}"
 
 
 def in_steps(seconds: float, dt: float, least: int = 1) -> str | None:

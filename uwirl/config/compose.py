@@ -29,7 +29,6 @@ from uwirl.config.ablations import check_ablation
 from uwirl.config.checks import ConfigError
 from uwirl.config.groups import Groups, is_schema, none_of
 from uwirl.config.keys import Keys, field_types
-from uwirl.config.overrides import section_of
 from uwirl.config.schema import Config, register
 
 # What files that do not fit together end in.
@@ -125,29 +124,22 @@ def composed(
         groups = _shipped_groups(name) if shipped else Groups(loader, name)
         chosen, values = groups.split(words)
         try:
-            files, hydras = _shipped_files(name, tuple(chosen)) if shipped else _files(name, chosen)
+            config = deepcopy(_shipped_files(name, tuple(chosen))) if shipped else _files(name, chosen)
         except REFUSALS as error:
             raise _refusal(error, groups, chosen) from None
-        config = deepcopy(files)
-        with open_dict(config):
-            # It is as large again, and seldom of interest.
-            if whole or any(section_of(override.key_or_group) == "hydra" for override in values):
-                config["hydra"] = hydras
         keys = Keys.of(config, list(groups.defaults), groups.holders)
         for override in values:
             _set(config, override, keys)
         if not whole:
             with open_dict(config):
-                config.pop("hydra", None)
-            check_composed(config, hydras.runtime.choices, groups if ablation else None)
+                choices = config.pop("hydra").runtime.choices
+            check_composed(config, choices, groups if ablation else None)
         return config
 
 
-def _files(name: str, chosen: Sequence[str]) -> tuple[DictConfig, DictConfig]:
-    """What files give, and Hydra's own settings."""
-    config = hydra.compose(name, list(chosen), return_hydra_config=True)
-    with open_dict(config):
-        return config, config.pop("hydra")
+def _files(name: str, chosen: Sequence[str]) -> DictConfig:
+    """What files give, Hydra's own settings among it."""
+    return hydra.compose(name, list(chosen), return_hydra_config=True)
 
 
 # The program's own files nobody edits meanwhile.
