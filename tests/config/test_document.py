@@ -10,7 +10,7 @@ import sys
 import pytest
 from write_configuration import PATH, Setting, document, settings
 
-from uwirl.config import estimate_schema, schema
+from uwirl.config import estimate_schema, motion_schema, schema, world_schema
 from uwirl.config.schema import ScenarioConfig
 
 # What endings of names stand for; every other number says its unit, if it has one, behind the field.
@@ -25,7 +25,7 @@ UNITS = {
     "_N": "N",
     "_kbps": "kbit/s",
 }
-MODULES = (schema, estimate_schema)
+MODULES = (schema, motion_schema, world_schema, estimate_schema)
 SCHEMAS = sorted({c for m in MODULES for c in vars(m).values() if dataclasses.is_dataclass(c)}, key=str)
 
 

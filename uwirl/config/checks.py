@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -11,6 +10,8 @@ from enum import StrEnum
 from typing import Any, ClassVar
 
 from omegaconf import MISSING
+
+from uwirl.config.suggestions import did_you_mean, listed, similar
 
 AXES = ("surge", "sway", "heave", "yaw")
 MAX_STEPS = 1_000_000
@@ -72,6 +73,7 @@ class MadeConfig(Section):
     Attributes:
         family: what is made, which is also the group of its options.
         names: those of uwirl's options with these settings; none where any name, or no name, will do.
+        files: every schema that files of a group name in their defaults list, by group and name.
     """
 
     target: str | None = None  # package.module.Class of uwirl, or of your own: docs/extending.md
@@ -79,9 +81,12 @@ class MadeConfig(Section):
 
     family: ClassVar[str] = ""
     names: ClassVar[tuple[StrEnum, ...]] = ()
+    files: ClassVar[dict[tuple[str, str], type]] = {}
 
-    def __init_subclass__(cls, family: str = "", names: tuple[StrEnum, ...] = ()) -> None:
+    def __init_subclass__(cls, family: str = "", names: tuple[StrEnum, ...] = (), file: str = "") -> None:
         cls.family, cls.names = family or cls.family, names
+        if file:
+            cls.files[cls.family, file] = cls
 
     def values(self) -> dict[str, Any]:
         """What the object is made from besides `settings`, by name."""
@@ -169,9 +174,7 @@ def low_high(values: list[float]) -> str | None:
 def unlike(value: str, names: Iterable[str]) -> str | None:
     """What is wrong with a name that is none of some; the nearest one is suggested."""
     names = [str(name) for name in names]
-    near = difflib.get_close_matches(value, names, 1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    return None if value in names else f"{value!r} is none of {', '.join(names)}{hint}"
+    return None if value in names else f"{value!r} is none of {listed(names)}{did_you_mean(similar(value, names, 1))}"
 
 
 def in_steps(seconds: float, dt: float, least: int = 1) -> str | None:

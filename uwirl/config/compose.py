@@ -27,11 +27,9 @@ from yaml import YAMLError
 
 from uwirl.config.ablations import check_ablation
 from uwirl.config.checks import ConfigError
-from uwirl.config.groups import Groups, is_schema
+from uwirl.config.groups import Groups, is_schema, none_of
 from uwirl.config.keys import Keys, field_types
-from uwirl.config.overrides import section_of
 from uwirl.config.schema import Config, register
-from uwirl.config.suggestions import did_you_mean, listed, similar
 
 # What files that do not fit together end in.
 REFUSALS = (HydraException, OmegaConfBaseException, YAMLError, ValueError)
@@ -126,29 +124,22 @@ def composed(
         groups = _shipped_groups(name) if shipped else Groups(loader, name)
         chosen, values = groups.split(words)
         try:
-            files, hydras = _shipped_files(name, tuple(chosen)) if shipped else _files(name, chosen)
+            config = deepcopy(_shipped_files(name, tuple(chosen))) if shipped else _files(name, chosen)
         except REFUSALS as error:
             raise _refusal(error, groups, chosen) from None
-        config = deepcopy(files)
-        with open_dict(config):
-            # It is as large again, and seldom of interest.
-            if whole or any(section_of(override.key_or_group) == "hydra" for override in values):
-                config["hydra"] = hydras
         keys = Keys.of(config, list(groups.defaults), groups.holders)
         for override in values:
             _set(config, override, keys)
         if not whole:
             with open_dict(config):
-                config.pop("hydra", None)
-            check_composed(config, hydras.runtime.choices, groups if ablation else None)
+                choices = config.pop("hydra").runtime.choices
+            check_composed(config, choices, groups if ablation else None)
         return config
 
 
-def _files(name: str, chosen: Sequence[str]) -> tuple[DictConfig, DictConfig]:
-    """What files give, and Hydra's own settings."""
-    config = hydra.compose(name, list(chosen), return_hydra_config=True)
-    with open_dict(config):
-        return config, config.pop("hydra")
+def _files(name: str, chosen: Sequence[str]) -> DictConfig:
+    """What files give, Hydra's own settings among it."""
+    return hydra.compose(name, list(chosen), return_hydra_config=True)
 
 
 # The program's own files nobody edits meanwhile.
@@ -247,8 +238,7 @@ def _not_there(path: str, options: Sequence[str]) -> ConfigError:
     extra = EXTRAS.get(path) or (None if options else EXTRAS.get(group))
     if extra:
         return ConfigError(group, f"{option!r} needs a plugin, pip install 'uwirl[{extra}]'")
-    near = did_you_mean([f"{group}={name}" for name in similar(option, options)])
-    return ConfigError(group or path, f"{option!r} is none of {listed(options)}{near}")
+    return none_of(group or path, option, options)
 
 
 def _check_files(groups: Groups, chosen: Sequence[str]) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import pkgutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -92,8 +92,27 @@ def _check(section: MadeConfig, path: str, key: str, family: Family) -> None:
         given = family.calls
     else:
         raise ConfigError(f"{key}.target", f"{path} is no class{' and no function' if family.calls else ''}")
-    offered = [name for name in family.offered if name in taken(target)[0] and name not in section.settings]
-    _check_settings(target, section, key, given, (*section.values(), *family.named), offered)
+    try:
+        signature = inspect.signature(target)
+    except ValueError:
+        raise ConfigError(f"{key}.target", f"{path} does not tell what it takes") from None
+    # As `make` does: what a class does not take is not for it.
+    names, anything = taken(target)
+    apart = (*section.values(), *family.named)
+    offered = {name for name in family.offered if name in names} - section.settings.keys()
+    own = [name for name in names[len(given) :] if name not in offered.union(apart)]
+    for name in section.settings:
+        setting = f"{key}.settings.{name}"
+        if name in apart:
+            raise ConfigError(setting, f"is no setting of the class alone; set {name} outside settings")
+        if not (anything or name in own):
+            near = did_you_mean([f"{key}.settings.{other}" for other in similar(name, own)])
+            raise ConfigError(setting, f"{path} takes {listed(own) or 'no settings'}{near}")
+    try:
+        keys = [name for name in apart if anything or name in names]
+        signature.bind(*given, **dict.fromkeys([*keys, *offered]), **section.settings)
+    except TypeError as error:
+        raise ConfigError(f"{key}.settings", f"{path} cannot be made of {section.settings}: {error}") from None
 
 
 def found(path: str, key: str) -> Any:
@@ -158,36 +177,6 @@ def _members(protocol: type) -> list[tuple[str, Any]]:
 
 def _is_protocol(protocol: type) -> bool:
     return bool(getattr(protocol, "_is_protocol", False))
-
-
-def _check_settings(
-    target: Callable[..., Any],
-    section: MadeConfig,
-    key: str,
-    given: Sequence[str],
-    named: Sequence[str],
-    offered: Sequence[str],
-) -> None:
-    try:
-        signature = inspect.signature(target)
-    except ValueError:
-        raise ConfigError(f"{key}.target", f"{section.target} does not tell what it takes") from None
-    names, anything = taken(target)
-    own = [name for name in names[len(given) :] if name not in (*named, *offered)]
-    for name in section.settings:
-        setting = f"{key}.settings.{name}"
-        if name in named:
-            raise ConfigError(setting, f"is no setting of the class alone; set {name} outside settings")
-        if not (anything or name in own):
-            near = did_you_mean([f"{key}.settings.{other}" for other in similar(name, own)])
-            raise ConfigError(setting, f"{section.target} takes {listed(own) or 'no settings'}{near}")
-    try:
-        # As `make` does: what a class does not take is not for it.
-        keys = [name for name in (*named, *offered) if anything or name in names]
-        signature.bind(*given, **dict.fromkeys(keys), **section.settings)
-    except TypeError as error:
-        problem = f"{section.target} cannot be made of {section.settings}: {error}"
-        raise ConfigError(f"{key}.settings", problem) from None
 
 
 def taken(target: Callable[..., Any]) -> tuple[list[str], bool]:

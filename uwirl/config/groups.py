@@ -37,6 +37,12 @@ def parsed(override: str) -> Override:
         raise ConfigError(key or override, f"{value or override!r} cannot be read ({reason}); {rule}") from None
 
 
+def none_of(key: str, option: Any, options: Sequence[str]) -> ConfigError:
+    """A group has no such option; the nearest are suggested."""
+    near = did_you_mean([f"{key}={name}" for name in similar(str(option), options)])
+    return ConfigError(key, f"{'null' if option is None else repr(option)} is none of {listed(options)}{near}")
+
+
 def is_schema(option: str) -> bool:
     """Whether an option of a group holds names and types only."""
     return option == "schema" or option.endswith("_schema")
@@ -147,8 +153,7 @@ class Groups:
         if isinstance(value, list):
             raise ConfigError(key, f"takes one option, got the list {_text(override)}")
         if value not in there or self.load(f"{group}/{value}") is None:
-            near = did_you_mean([f"{key}={name}" for name in similar(str(value), there)])
-            raise ConfigError(key, f"{'null' if value is None else repr(value)} is none of {listed(there)}{near}")
+            raise none_of(key, value, there)
 
 
 def _text(override: Override) -> str:

@@ -139,11 +139,10 @@ class Keys:
 
     def _check_item(self, value: Any, annotation: Any, key: str, node: Any = None) -> None:
         (item,) = typing.get_args(annotation) or (Any,)
-        entry = f"is an entry of a {words(annotation)}"
-        if item in NODES and isinstance(value, (dict, list)):
-            raise ConfigError(key, f"{entry}, which holds no lists or keys{self.where}")
-        if item in NODES and not _fits(value, item):
-            raise ConfigError(key, f"{entry}, got {value!r}{self.where}")
+        inner = isinstance(value, (dict, list))
+        if item in NODES and (inner or not _fits(value, item)):
+            problem = "which holds no lists or keys" if inner else f"got {value!r}"
+            raise ConfigError(key, f"is an entry of a {words(annotation)}, {problem}{self.where}")
         self.check(value, item, key, node)
 
     def _check_value(self, value: Any, annotation: Any, key: str) -> None:

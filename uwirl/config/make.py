@@ -5,9 +5,6 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from hydra.errors import HydraException
-from hydra.utils import instantiate
-
 from uwirl.config.checks import ConfigError, MadeConfig
 from uwirl.config.custom import FAMILIES, found, lacking, taken
 
@@ -25,22 +22,16 @@ def make(section: MadeConfig, *given: Any, **offered: Any) -> Any:
         ConfigError: there is no such class, or its objects lack what their family must have.
     """
     key, path = f"{section.family}.target", section.target or type(section).target
-    if path is not None:
-        # As Hydra would have filled it in.
-        path = path.replace("${.name}", getattr(section, "name", ""))
-    else:
+    if path is None:
         raise ConfigError(key, "names no class; give package.module.Class")
+    # As Hydra would have filled it in.
+    path = path.replace("${.name}", getattr(section, "name", ""))
     target = found(path, key)
     names, anything = taken(target)
     if not isinstance(target, type) and not given:
         return partial(target, **{name: value for name, value in offered.items() if name in names}, **section.settings)
     parts = {name: value for name, value in (section.values() | offered).items() if anything or name in names}
-    try:
-        # What is given never passes through OmegaConf, which takes dataclasses for settings.
-        settings = {"_target_": path, "_partial_": True, "_convert_": "all", "_recursive_": False, **section.settings}
-        made = instantiate(settings)(*given, **{k: v for k, v in parts.items() if k not in section.settings})
-    except HydraException as error:
-        raise ConfigError(key, " ".join(str(error).split())) from None
+    made = target(*given, **(parts | section.settings))
     family = FAMILIES.get(type(section))
     missing = lacking(made, family.protocol) if family else []
     if family and missing:

@@ -39,7 +39,7 @@ class BasisConfig(MadeConfig, family="basis"):
 
 
 @dataclass
-class LinkFrameBasisConfig(BasisConfig, names=(BasisName.link_frame,)):
+class LinkFrameBasisConfig(BasisConfig, names=(BasisName.link_frame,), file="link_frame_schema"):
     length_scales_m: list[float] = MISSING  # m; .inf gives the linear feature
 
     def problems(self) -> Iterator[tuple[str, str]]:
@@ -49,12 +49,12 @@ class LinkFrameBasisConfig(BasisConfig, names=(BasisName.link_frame,)):
 
 
 @dataclass
-class GeodesicBasisConfig(LinkFrameBasisConfig, names=(BasisName.geodesic,)):
+class GeodesicBasisConfig(LinkFrameBasisConfig, names=(BasisName.geodesic,), file="geodesic_schema"):
     pass
 
 
 @dataclass
-class ErrorBasisConfig(BasisConfig, names=(BasisName.error_quadratic, BasisName.error_velocity)):
+class ErrorBasisConfig(BasisConfig, names=(BasisName.error_quadratic, BasisName.error_velocity), file="error_schema"):
     velocity: bool = MISSING  # whether the features see the velocity, too
 
     def problems(self) -> Iterator[tuple[str, str]]:
@@ -78,7 +78,7 @@ class CostConfig(MadeConfig, family="cost"):
 
 
 @dataclass
-class PrintedCostConfig(CostConfig):
+class PrintedCostConfig(CostConfig, file="printed_schema"):
     left_m: float = MISSING  # m; Remark 2: where f is kappa_1, just within the radius of influence
     right_m: float = MISSING  # m; Remark 2: where f has fallen to kappa_2
     kappa_1: float = MISSING  # in (kappa_2, 1)
@@ -104,14 +104,14 @@ class GuardConfig(SafetyConfig):
 
 
 @dataclass
-class BarrierGuardConfig(GuardConfig, names=(SafetyName.barrier,)):
+class BarrierGuardConfig(GuardConfig, names=(SafetyName.barrier,), file="barrier_schema"):
     k_1: float = ruled(positive)  # 1/s; of the second-order barrier h'' + k_1 h' + k_0 h >= 0
     k_0: float = ruled(positive)  # 1/s^2; of the same
     inertia_kg: list[float] = ruled(numbers(3, positive))  # kg; mass and added mass in surge, sway, heave
 
 
 @dataclass
-class EnergyGuardConfig(GuardConfig, names=(SafetyName.energy,)):
+class EnergyGuardConfig(GuardConfig, names=(SafetyName.energy,), file="energy_schema"):
     alpha: float = ruled(positive)  # 1/s; how fast the barrier may fall
     mass_upper_kg: float = ruled(positive)  # kg; no less than the vehicle has, added mass included
     mass_lower_kg: float = ruled(positive)  # kg; no more than the vehicle has, added mass included
@@ -128,7 +128,7 @@ class GuidanceConfig(MadeConfig, family="guidance", names=(GuidanceName.straight
 
 
 @dataclass
-class GeodesicConfig(GuidanceConfig, names=(GuidanceName.geodesic, GuidanceName.unit_cost)):
+class GeodesicConfig(GuidanceConfig, names=(GuidanceName.geodesic, GuidanceName.unit_cost), file="geodesic_schema"):
     gain: float = ruled(positive)  # k of F = k sqrt(q / R_b)
     lateral_damping: float = ruled(positive)  # N s/m; against velocity across the way
     heading_stiffness: float = ruled(positive)  # N m, added to the led policy's while routing
@@ -144,21 +144,23 @@ class SolverConfig(MadeConfig, family="solver"):
 
 
 @dataclass
-class LeastSquaresSolverConfig(SolverConfig, names=(SolverName.z_rls,)):
+class LeastSquaresSolverConfig(SolverConfig, names=(SolverName.z_rls,), file="least_squares_schema"):
     bounded: bool = MISSING  # whether the actor stays a damped convex potential
     ridge: float = ruled(not_negative)  # penalty on every unknown, towards zero
     prior: float = ruled(not_negative)  # penalty on the actor, towards the policy that it improves
 
 
 @dataclass
-class BatchSolverConfig(LeastSquaresSolverConfig, names=(SolverName.batch, SolverName.bounded_batch)):
+class BatchSolverConfig(
+    LeastSquaresSolverConfig, names=(SolverName.batch, SolverName.bounded_batch), file="batch_schema"
+):
     def problems(self) -> Iterator[tuple[str, str]]:
         if self.bounded != (self.name == SolverName.bounded_batch):
             yield "bounded", "says otherwise than the solver's name; choose solver=batch or bounded_batch"
 
 
 @dataclass
-class RlsSolverConfig(SolverConfig, names=(SolverName.rls_paper, SolverName.rls_forgetting)):
+class RlsSolverConfig(SolverConfig, names=(SolverName.rls_paper, SolverName.rls_forgetting), file="rls_schema"):
     kappa: float = ruled(positive)  # of (48)-(49): forgetting factor in (0, 1] of rls_forgetting, a ridge in rls_paper
     p0: float = ruled(positive)  # of the first covariance, P = p0 I
     form: RlsForm = MISSING  # as printed, or with exponential forgetting
@@ -186,13 +188,13 @@ class ExperienceConfig(MadeConfig, family="experience"):
 
 
 @dataclass
-class VirtualLinksConfig(ExperienceConfig, names=(ExperienceName.virtual_links,)):
+class VirtualLinksConfig(ExperienceConfig, names=(ExperienceName.virtual_links,), file="virtual_links_schema"):
     relabel: int = ruled(at_least(0))  # further virtual links that each leg is seen from; 0 for none
     relabel_time_s: float = ruled(positive)  # s; after which what was seen so counts 1/e of what was flown
 
 
 @dataclass
-class ParallelConfig(ExperienceConfig, names=(ExperienceName.parallel,)):
+class ParallelConfig(ExperienceConfig, names=(ExperienceName.parallel,), file="parallel_schema"):
     worlds: int = ruled(at_least(1))  # how many fly at once
 
 
@@ -202,7 +204,7 @@ class PlannerConfig(MadeConfig, family="planner"):
 
 
 @dataclass
-class IrlConfig(PlannerConfig, names=(PlannerName.irl,)):
+class IrlConfig(PlannerConfig, names=(PlannerName.irl,), file="irl_schema"):
     calibration_s: float = MISSING  # s; of hovering, in which trim is measured
     start_gain: float = ruled(finite)  # scales the start policy
     # kg, kg, kg, kg m^2; no more than the vehicle has, added mass included
@@ -219,7 +221,7 @@ class IrlConfig(PlannerConfig, names=(PlannerName.irl,)):
 
 
 @dataclass
-class PdConfig(PlannerConfig, names=(PlannerName.pd,)):
+class PdConfig(PlannerConfig, names=(PlannerName.pd,), file="pd_schema"):
     calibration_s: float = MISSING  # s; of hovering, in which trim is measured
     position_gain: list[float] = ruled(numbers(4, positive))  # N/m, yaw N m; surge, sway, heave, yaw
     velocity_gain: list[float] = ruled(numbers(4, positive))  # N s/m, yaw N m s/rad; surge, sway, heave, yaw
@@ -227,13 +229,15 @@ class PdConfig(PlannerConfig, names=(PlannerName.pd,)):
 
 
 @dataclass
-class PotentialFieldConfig(PdConfig, names=(PlannerName.potential_field,)):
+class PotentialFieldConfig(PdConfig, names=(PlannerName.potential_field,), file="potential_field_schema"):
     repulsion: float = ruled(positive)  # N m^3; strength of the repulsion
     reach_m: float = ruled(positive)  # m; clearance at which it begins
 
 
 @dataclass
-class TrajectoryOptimizationConfig(PlannerConfig, names=(PlannerName.trajectory_optimization,)):
+class TrajectoryOptimizationConfig(
+    PlannerConfig, names=(PlannerName.trajectory_optimization,), file="trajectory_optimization_schema"
+):
     intervals: int = ruled(at_least(10))  # of the collocation, over the mission
     speeds_mps: list[float] = MISSING  # m/s; of the guesses along the map
 

@@ -16,31 +16,17 @@ from omegaconf import MISSING
 
 from uwirl.config.checks import MadeConfig, Section, at_least, ruled, unlike, valid_seed
 from uwirl.config.motion_schema import (
-    BarrierGuardConfig,
     BasisConfig,
-    BatchSolverConfig,
     CostConfig,
-    EnergyGuardConfig,
-    ErrorBasisConfig,
     ExperienceConfig,
-    GeodesicBasisConfig,
-    GeodesicConfig,
     GuidanceConfig,
-    IrlConfig,
-    LeastSquaresSolverConfig,
-    LinkFrameBasisConfig,
-    ParallelConfig,
-    PdConfig,
     PlannerConfig,
-    PotentialFieldConfig,
-    PrintedCostConfig,
-    RlsSolverConfig,
     SafetyConfig,
     SolverConfig,
-    TrajectoryOptimizationConfig,
-    VirtualLinksConfig,
 )
 from uwirl.config.motion_schema import GuardConfig as GuardConfig
+from uwirl.config.motion_schema import IrlConfig as IrlConfig
+from uwirl.config.motion_schema import PrintedCostConfig as PrintedCostConfig
 from uwirl.config.world_schema import ChannelConfig, ScenarioConfig, VehicleConfig
 
 OURS = "uwirl.snr.estimators."
@@ -140,33 +126,8 @@ def register() -> None:
     """
     store = ConfigStore.instance()
     store.store(name="schema", node=Config)
-    groups: dict[str, dict[str, type]] = {
-        # Files of classes of one's own once had to name a schema.
-        "estimator": {"own_schema": EstimatorConfig},
-        "basis": {
-            "link_frame_schema": LinkFrameBasisConfig,
-            "geodesic_schema": GeodesicBasisConfig,
-            "error_schema": ErrorBasisConfig,
-            "own_schema": BasisConfig,
-        },
-        "cost": {"printed_schema": PrintedCostConfig},
-        "guidance": {"geodesic_schema": GeodesicConfig},
-        "safety": {"energy_schema": EnergyGuardConfig, "barrier_schema": BarrierGuardConfig},
-        "solver": {
-            "least_squares_schema": LeastSquaresSolverConfig,
-            "batch_schema": BatchSolverConfig,
-            "rls_schema": RlsSolverConfig,
-        },
-        "experience": {"virtual_links_schema": VirtualLinksConfig, "parallel_schema": ParallelConfig},
-        "planner": {
-            "irl_schema": IrlConfig,
-            "pd_schema": PdConfig,
-            "potential_field_schema": PotentialFieldConfig,
-            "trajectory_optimization_schema": TrajectoryOptimizationConfig,
-            "own_schema": PlannerConfig,
-        },
-        "hydra/sweeper": {"search_schema": SearchConfig},
-    }
-    for group, schemas in groups.items():
-        for name, node in schemas.items():
-            store.store(group=group, name=name, node=node)
+    store.store(group="hydra/sweeper", name="search_schema", node=SearchConfig)
+    # Files of classes of one's own once had to name a schema.
+    own = {(schema.family, "own_schema"): schema for schema in (EstimatorConfig, BasisConfig, PlannerConfig)}
+    for (group, name), schema in (own | MadeConfig.files).items():
+        store.store(group=group, name=name, node=schema)

@@ -43,6 +43,4 @@ def nearest_keys(key: str, siblings: Sequence[str], everywhere: Sequence[str]) -
     near = [name for name in everywhere if name.rpartition(".")[2].lower() == leaf.lower()]
     near.sort(key=lambda name: not name.startswith(prefix))
     near += [prefix + name for name in similar(leaf, siblings)]
-    near += [] if near else [name for name in everywhere if similar(leaf, [name.rpartition(".")[2]])]
-    near += [] if near else difflib.get_close_matches(key, everywhere, 1, 0.6)
-    return list(dict.fromkeys(near))[:3]
+    return list(dict.fromkeys(near or similar(key, everywhere, 1)))[:3]

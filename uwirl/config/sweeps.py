@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from hydra.core.config_loader import ConfigLoader
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep
 
 from uwirl.config.checks import ConfigError
@@ -79,8 +78,9 @@ def samples(words: Sequence[str], loader: ConfigLoader) -> Iterator[list[str]]:
 
 
 def _alternatives(word: str, loader: ConfigLoader) -> list[str]:
-    parsed(word)
-    (override,) = OverridesParser.create(config_loader=loader).parse_overrides([word])
+    override = parsed(word)
+    # For options written as glob(...).
+    override.config_loader = loader
     if not override.is_sweep_override():
         return [word]
     key = word.partition("=")[0]
@@ -95,5 +95,5 @@ def _alternatives(word: str, loader: ConfigLoader) -> list[str]:
 
 
 def _kind(word: str) -> object:
-    value = OverridesParser.create().parse_override(word).value()
+    value = parsed(word).value()
     return type(value) if isinstance(value, (int, float, str)) else word
