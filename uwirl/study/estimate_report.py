@@ -1,4 +1,4 @@
-"""What `uwirl-estimate` tells: a table of the channel, its diagnostics, and a sentence where something looks wrong."""
+"""What `uwirl-estimate` tells: what it read, a table of the channel, diagnostics, a sentence where something is off."""
 
 from __future__ import annotations
 
@@ -11,12 +11,35 @@ from torch import Tensor
 from uwirl.snr.diagnostics import Diagnostics
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.snr.intervals import intervals
+from uwirl.study.survey import Survey
 
 LABELS = ("K (dB)", "n", "zeta^2 (dB^2)", "varphi (m)", "rho^2 (dB^2)")
 # A good log is called wrong so rarely, by each judgement.
 DOUBT = 0.001
 # Below so many readings moments say nothing.
 LEAST = 20
+# Lines of readings that are not believed.
+LISTED = 20
+
+
+def introduction(survey: Survey, name: str) -> Iterator[str]:
+    """Lines on what was read, and what of it counts.
+
+    Args:
+        survey: of the log.
+        name: of the log.
+    """
+    counts, refused = survey.counts, survey.refused.tolist()
+    kinds = ("readings", "dropouts", "messages", "sensors")
+    yield f"{name}: " + ", ".join(f"{counts[kind]:,} {kind}" for kind in kinds)
+    if survey.whole.unused:
+        yield f"columns not used: {', '.join(survey.whole.unused)}"
+    if refused:
+        which = ", ".join(map(str, refused[:LISTED])) + (", ..." if len(refused) > LISTED else "")
+        yield f"{len(refused):,} readings do not belong and are left out (estimator.robust), on line {which}"
+    used = counts["readings_used"]
+    if used + len(refused) < counts["readings"]:
+        yield f"{used:,} readings are used, evenly over the log (max_readings={survey.most})"
 
 
 def table(estimate: ChannelEstimate, readings: int) -> Iterator[str]:
