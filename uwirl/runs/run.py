@@ -16,7 +16,7 @@ from uwirl.config.overrides import effective
 from uwirl.config.schema import Config
 from uwirl.motion.learning import LearningState
 from uwirl.runs.interruption import Interruption
-from uwirl.runs.listeners import Board, Listener, Narrator, Saver
+from uwirl.runs.listeners import Board, Listener, Narrator
 from uwirl.runs.missions import MissionFlight, campaign
 from uwirl.runs.recorded import recorded
 from uwirl.runs.saving import Checkpoints, Origin
@@ -46,34 +46,27 @@ def run(config: Config, experiment: str, folder: Path, overrides: Sequence[str] 
         settings = replace(config, resume=None)
         metrics |= {"overrides": effective(overrides), "config_hash": origin.config_hash(settings)}
         run_folder.write_config(folder, settings)
-        checkpoints = Checkpoints(folder, settings, metrics["config_hash"], overrides)
+        records, config_hash = origin.records(), metrics["config_hash"]
+        checkpoints = Checkpoints(folder, settings, config_hash, overrides, records, interruption)
         with TensorBoard(folder / "tb" if config.logging.tensorboard else None) as board:
             board.config(settings)
-            metrics |= _work(settings, folder, origin, checkpoints, interruption, board)
+            metrics |= _work(settings, folder, origin, checkpoints, board)
             board.compare(experiment, config.seed, overrides, metrics)
 
     return recorded(work, experiment, config.seed, folder)
 
 
 @torch.no_grad()
-def _work(
-    config: Config,
-    folder: Path,
-    origin: Origin,
-    checkpoints: Checkpoints,
-    interruption: Interruption,
-    board: TensorBoard,
-) -> dict[str, Any]:
+def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints, board: TensorBoard) -> dict[str, Any]:
     env = build.make_relay(config)
     planner, estimator = build.make_planner(config, config.planner, env), build.make_estimator(config.estimator, env)
-    records = origin.records()
+    records = checkpoints.records
     if records:
         log.info("continues after iteration %d, %.0f s of flight", records[-1].iteration, records[-1].seconds)
-    saver = Saver(checkpoints, interruption, board, records)
     narrator = Narrator(getattr(config.planner, "max_time_s", 0.0), config.logging.progress)
-    listeners: list[Listener] = [narrator, Board(board, records), saver]
+    listeners: list[Listener] = [narrator, Board(board, records, checkpoints.every), checkpoints]
     events = algorithm_1(env, estimator, planner, origin.start(env))
-    estimated, planned = _heard(events, listeners, interruption)
+    estimated, planned = _heard(events, listeners, checkpoints.interruption)
     metrics = run_folder.estimate_metrics(estimated.estimate)
     if planned.learned is not None:
         metrics |= learning_metrics(config, planned.learned[1])
@@ -90,8 +83,8 @@ def _work(
     metrics |= flight.report(flown, estimated, board, records, learning.basis)
     metrics["converged"] = records[-1].converged and flight.settled(flown[config.planner.name])
     metrics |= {"cost_total_start_policy": float(start.cost[0]), "cost_per_iteration": costs}
-    checkpoints.best(learning, state, estimated.estimate, records, costs)
-    checkpoints.last(learning, state, estimated.estimate, records, metrics)
+    checkpoints.best(learning, state, costs)
+    checkpoints.last(learning, state, metrics)
     board.cost_per_iteration(costs)
     return metrics
 
