@@ -21,6 +21,7 @@ from torch import Tensor
 from uwirl.config.estimate_schema import EstimateConfig
 from uwirl.config.overrides import FREE
 from uwirl.config.schema import Config
+from uwirl.motion.learning import LearningState
 from uwirl.snr.diagnostics import Diagnostics
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.atomic_io import read_whole, write_arrays, write_whole
@@ -203,6 +204,16 @@ def estimate_metrics(estimate: ChannelEstimate) -> dict[str, Any]:
         for key, row in (("", values), ("_std", stds), ("_identifiable", told)):
             metrics[f"estimate_{name}{key}"] = row[0] if len(row) == 1 else row
     return metrics
+
+
+def learning_metrics(state: LearningState, dt: float) -> dict[str, Any]:
+    """Entries of metrics.json about how it was learned, in steps of dt, s."""
+    return {
+        "learning_vehicle_seconds": state.seconds,
+        "learning_env_steps": round(state.seconds / dt),
+        "learning_collisions": state.contacts,
+        "policy_iterations": state.learner.iteration,
+    }
 
 
 def write_trajectory(folder: Path, evaluation: Evaluation, messages: LinksAtMessages) -> None:
