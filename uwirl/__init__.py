@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from uwirl.snr.estimators import maximum_likelihood
     from uwirl.snr.kriging import Kriging
     from uwirl.study.evaluation import Evaluation, Evaluator
+    from uwirl.study.survey import Survey
     from uwirl.world.acoustics import Channel, LinkBudget
     from uwirl.world.agent import Agent, Feedback, Guarded
     from uwirl.world.observation import Observation
@@ -48,6 +49,7 @@ _HOMES = {
     "snr.estimators": ["maximum_likelihood"],
     "snr.kriging": ["Kriging"],
     "study.evaluation": ["Evaluation", "Evaluator"],
+    "study.survey": ["Survey"],
     "world.acoustics": ["Channel", "LinkBudget"],
     "world.agent": ["Agent", "Feedback", "Guarded"],
     "world.readings": ["Readings", "take_readings"],
@@ -84,6 +86,7 @@ __all__ = [
     "Readings",
     "Relay",
     "Scenario",
+    "Survey",
     "Trajectory",
     "Vehicle",
     "WorldState",

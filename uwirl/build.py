@@ -84,8 +84,7 @@ def make_channel(config: ChannelConfig) -> Channel:
     """The true channel; a class of the user's own is its link budget, or all of it."""
     water = Water(**asdict(config.water))
     if config.target is not None and issubclass(found(config.target, "channel.target"), Channel):
-        whole: Channel = make(config, budget=LinkBudget(**_taken_by(LinkBudget, config.values()) | {"water": water}))
-        return whole
+        return make(config, budget=LinkBudget(**_taken_by(LinkBudget, config.values()) | {"water": water}))
     budget: LinkBudget = make(config, water=water)
     return Channel(budget, **_taken_by(Channel, config.values()))
 
@@ -128,21 +127,18 @@ def make_estimator(config: EstimatorConfig, env: Relay | None = None) -> Estimat
 
 def make_cost(config: CostConfig) -> CostWeights:
     """What missions are judged by, and flown for."""
-    weights: CostWeights = make(config, avoidance=smooth)
-    return weights
+    return make(config, avoidance=smooth)
 
 
 def make_guard(config: Config, env: Relay) -> Guard:
     """What stands between agent and thrusters."""
-    guard: Guard = make(config.safety, Limits.of(env))
-    return guard
+    return make(config.safety, Limits.of(env))
 
 
 def make_guidance(config: Config) -> Guidance:
     """How missions are led to their targets."""
     margin = config.safety.margin_m if isinstance(config.safety, GuardConfig) else 0.0
-    guidance: Guidance = make(config.guidance, margin_m=margin)
-    return guidance
+    return make(config.guidance, margin_m=margin)
 
 
 def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
@@ -153,10 +149,9 @@ def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
         learned = LearnedGeodesic(guidance.margin_m, guidance.map_settings)
 
     def basis(cost: RelayCost) -> MotionBasis:
-        features: MotionBasis = make(config.basis, cost, ways=learned)
-        return features
+        return make(config.basis, cost, ways=learned)
 
-    made: Planner = make(
+    return make(
         planner,
         cost=make_cost(config.cost),
         guard=make_guard(config, env),
@@ -165,7 +160,6 @@ def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
         solver=partial(make, config.solver),
         experience=make(config.experience),
     )
-    return made
 
 
 def make_evaluator(config: Config, env: Relay) -> Evaluator:

@@ -14,7 +14,8 @@ from omegaconf import OmegaConf
 from uwirl.config.compose import composed
 from uwirl.config.estimate_schema import register
 from uwirl.config.validate import validate_estimate
-from uwirl.runs.survey import Survey, run
+from uwirl.runs import survey
+from uwirl.runs.survey import Prepared, run
 from uwirl.snr.estimate import NAMES
 
 SAMPLE = Path(__file__).parents[2] / "examples" / "readings.csv"
@@ -22,11 +23,11 @@ TRUTH = {"K_dB": -60.0, "n": 2.0, "zeta2": 9.0, "varphi_m": 15.0, "rho2": 1.0}
 HEADER = "vehicle_x_m,vehicle_y_m,vehicle_z_m,sensor_x_m,sensor_y_m,sensor_z_m,snr_dB"
 
 
-def prepare(*overrides: str) -> Survey:
+def prepare(*overrides: str) -> Prepared:
     register()
     config = OmegaConf.to_object(composed("estimate", overrides))
     validate_estimate(config)
-    return Survey.of(config)
+    return survey.prepare(config)
 
 
 @pytest.fixture
@@ -227,7 +228,7 @@ def test_command_leaves_a_run_folder(tmp_path):
 def test_sigterm_ends_it_and_says_so(tmp_path):
     """Sent by the run to itself while it draws the map, so that the moment is always the same."""
     program = (
-        "import os, signal; from uwirl.runs import survey; from uwirl.apps.estimate import main\n"
+        "import os, signal; from uwirl.study import survey; from uwirl.apps.estimate import main\n"
         "survey.make_map = lambda *_: os.kill(os.getpid(), signal.SIGTERM); main()"
     )
     command = [sys.executable, "-c", program, f"data={SAMPLE}", "hydra.run.dir=run"]

@@ -14,7 +14,7 @@ from uwirl.apps import evaluate
 from uwirl.config.compose import compose
 from uwirl.config.schema import register
 from uwirl.config.validate import ConfigError, validate
-from uwirl.runs import evaluation
+from uwirl.runs.run import evaluate as fly_checkpoint
 from uwirl.runs.run import run
 from uwirl.study import checkpoint, learning_file, shadowing
 from uwirl.study.checkpoint import CheckpointError
@@ -50,7 +50,7 @@ def fly(folder: Path, *arguments: str) -> dict:
     folder.mkdir(parents=True, exist_ok=True)
     path, line = checked(arguments)
     config = compose([text for text in line if not text.startswith("hydra.")])
-    return evaluation.run(config, "fig5_free", folder, path)
+    return fly_checkpoint(config, "fig5_free", folder, path)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -16,7 +16,7 @@ from uwirl.config.checks import ConfigError
 from uwirl.config.compose import compose
 from uwirl.config.compose import folder as conf
 from uwirl.runs import saving
-from uwirl.runs.refusal import write_refusal
+from uwirl.runs.recorded import write_refusal
 from uwirl.study import checkpoint
 from uwirl.study.checkpoint import CheckpointError
 

@@ -9,7 +9,7 @@ from uwirl.apps.program import Program
 from uwirl.config.estimate_schema import EstimateConfig
 
 if TYPE_CHECKING:
-    from uwirl.runs.survey import Survey
+    from uwirl.runs.survey import Prepared
 
 
 class Estimate(Program):
@@ -17,21 +17,21 @@ class Estimate(Program):
 
     name = "uwirl-estimate"
     primary = "estimate"
-    read: Survey | None = None
+    read: Prepared | None = None
 
-    def prepare(self, config: EstimateConfig, sweep: bool) -> Survey:
+    def prepare(self, config: EstimateConfig, sweep: bool) -> Prepared:
         """All that can be wrong with settings and log, found before a run folder is made."""
         # Imported here so that a typo is answered sooner, and a bad configuration before torch is loaded.
         from uwirl.config.validate import validate_estimate
 
         validate_estimate(config)
-        from uwirl.runs.survey import Survey
+        from uwirl.runs import survey
 
         if self.read is None or self.read.config != config:
-            self.read = Survey.of(config)
+            self.read = survey.prepare(config)
         return self.read
 
-    def run(self, ready: Survey, folder: Path, sweep: bool, experiment: str, overrides: list[str]) -> dict[str, Any]:
+    def run(self, ready: Prepared, folder: Path, sweep: bool, experiment: str, overrides: list[str]) -> dict[str, Any]:
         """Estimate, judge, and draw the map."""
         from uwirl.runs import survey
         from uwirl.study import run_folder

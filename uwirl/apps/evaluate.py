@@ -54,12 +54,12 @@ class Evaluate(Program):
 
     def run(self, ready: Config, folder: Path, sweep: bool, experiment: str, overrides: list[str]) -> dict[str, Any]:
         """Fly, and judge the flight."""
-        from uwirl.runs import evaluation
+        from uwirl.runs.run import evaluate
         from uwirl.study import checkpoint, run_folder
 
         if not sweep:
             run_folder.check_own(folder, run_folder.config_hash(ready, checkpoint.digest(self.path)))
-        return evaluation.run(ready, experiment, folder, self.path)
+        return evaluate(ready, experiment, folder, self.path)
 
 
 def main() -> None:

@@ -164,7 +164,7 @@ class Program:
         """
         # Imported here so that a bad configuration is answered before torch is loaded.
         from uwirl.runs.interruption import Interrupted
-        from uwirl.runs.refusal import write_refusal
+        from uwirl.runs.recorded import write_refusal
         from uwirl.study import run_folder
 
         here = HydraConfig.get()

@@ -1,4 +1,4 @@
-"""Who listens to Algorithm 1 while it runs: the log, a bar, TensorBoard, checkpoints."""
+"""Who listens to Algorithm 1 while it runs: the log, a bar, TensorBoard; and `uwirl.runs.saving.Checkpoints`."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ from tqdm import tqdm
 
 from uwirl.algorithm import Estimated, Event, Improved, Planned
 from uwirl.motion.learning import IterationRecord
-from uwirl.runs.interruption import Interruption
-from uwirl.runs.saving import Checkpoints
-from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study.tensorboard import TensorBoard
 
 log = logging.getLogger("uwirl")
@@ -73,10 +70,11 @@ class Board:
     Args:
         board: writes.
         before: records of a run that is continued, which it tells first in a folder that is new.
+        every: legs after which a checkpoint is saved, beside which nothing may be missing if the run is killed.
     """
 
-    def __init__(self, board: TensorBoard, before: list[IterationRecord]):
-        self.board = board
+    def __init__(self, board: TensorBoard, before: list[IterationRecord], every: int):
+        self.board, self.every = board, every
         self.untold = [] if board.continues else list(before)
 
     def __call__(self, event: Event) -> None:
@@ -84,42 +82,9 @@ class Board:
         match event:
             case Estimated(_, estimate):
                 self.board.estimate(estimate)
-            case Improved(learning, _, records):
+            case Improved(learning, state, records):
                 for record in [*self.untold, *records]:
                     self.board.iteration(record, learning.basis)
                 self.untold = []
-
-
-class Saver:
-    """Keeps the records, and saves every few legs, at the end, and where a signal ends the run.
-
-    Args:
-        checkpoints: where to.
-        interruption: tells of signals.
-        board: is flushed with each checkpoint.
-        before: records of a run that is continued.
-    """
-
-    def __init__(
-        self, checkpoints: Checkpoints, interruption: Interruption, board: TensorBoard, before: list[IterationRecord]
-    ):
-        self.checkpoints, self.interruption, self.board = checkpoints, interruption, board
-        self.records = before
-        self.estimate: ChannelEstimate | None = None
-
-    def __call__(self, event: Event) -> None:
-        """Keep an event; raises Interrupted if a signal came, with all that was learned saved."""
-        match event:
-            case Estimated(_, estimate):
-                self.estimate = estimate
-            case Improved(learning, state, records):
-                self.records += records
-                interrupted = self.interruption.number is not None
-                if self.records and (interrupted or state.flight.leg % self.checkpoints.every == 0):
-                    assert self.estimate is not None
-                    self.checkpoints.last(learning, state, self.estimate, self.records)
+                if state.flight.leg % self.every == 0:
                     self.board.flush()
-                self.interruption.check()
-            case Planned(_, (learning, state)):
-                assert self.estimate is not None
-                self.checkpoints.last(learning, state, self.estimate, self.records)

@@ -15,12 +15,10 @@ from uwirl.config.schema import Config, IrlConfig
 from uwirl.motion.features import MotionBasis
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
 from uwirl.runs import pictures
-from uwirl.runs.summary import table
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study import run_folder, shadowing
-from uwirl.study.atomic_io import write_arrays
 from uwirl.study.campaign import fly
-from uwirl.study.evaluation import Evaluation
+from uwirl.study.evaluation import Evaluation, table
 from uwirl.study.tensorboard import TensorBoard
 from uwirl.world.agent import Agent
 from uwirl.world.relay import Relay
@@ -83,11 +81,18 @@ class MissionFlight:
         trajectory, targets = evaluation.trajectory, self.evaluator.mission.targets
         messages = shadowing.messages(self.env, trajectory)
         run_folder.write_trajectory(self.folder, evaluation, messages)
-        picture = pictures.mission(self.config.logging, self.folder, self.env, evaluation, messages, records, basis)
         if board is not None:
             board.evaluation(evaluation, messages)
-            if picture:
+        if pictures.wanted(self.config.logging):
+            from uwirl.study import animation, figures
+
+            figure = figures.mission_figure(self.env.scenario, evaluation, messages, records, basis)
+            picture = pictures.save(figure, self.folder, "mission")
+            if board is not None:
                 board.picture(picture)
+            if self.config.logging.animation:
+                animation.save(self.env.scenario, evaluation, picture.with_suffix(".gif"))
+                log.info("animation: %s", picture.with_suffix(".gif"))
         for line in table(flown):
             log.info("%s", line)
         shadowed = shadowing.summary(self.env, trajectory, targets, stage_1.readings, stage_1.estimate)
@@ -116,15 +121,9 @@ def campaign(config: Config, agent_in: Callable[[Relay], Agent], folder: Path) -
     outcomes = fly(worlds, layouts, agent_in, build.make_evaluator(config, worlds), BATCH, watch)
     for line in outcomes.table():
         log.info("%s", line)
-    names = ("kind", "feasible", "ambiguous", "collisions", "clearance", "separation", "t99", "blocked", "cost")
-    fields = {name: getattr(outcomes, name).numpy(force=True) for name in names}
-    start, obstacles = layouts.start.numpy(force=True), layouts.obstacles
-    write_arrays(
-        folder / "layouts.npz",
-        start=start,
-        centre=torch.where(obstacles.present[..., None], obstacles.centre, torch.nan).numpy(force=True),
-        radius=obstacles.radius.numpy(force=True),
-        **fields,
-    )
-    pictures.layouts(config.logging, folder, *shown[0], layouts.kind)
+    run_folder.write_layouts(folder, layouts, outcomes)
+    if pictures.wanted(config.logging):
+        from uwirl.study import figures
+
+        pictures.save(figures.layouts_figure(*shown[0], layouts.kind), folder, "layouts")
     return outcomes.metrics()

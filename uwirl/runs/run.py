@@ -1,10 +1,14 @@
-"""What `uwirl` does in its run folder: Algorithm 1 with its listeners, then a mission on the true channel."""
+"""What `uwirl` and `uwirl-evaluate` do in their run folders: a mission on the true channel.
+
+They differ in where its agent comes from: Algorithm 1 with its listeners, or a checkpoint.
+"""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +18,17 @@ from uwirl import build
 from uwirl.algorithm import Estimated, Event, Planned, algorithm_1
 from uwirl.config.overrides import effective
 from uwirl.config.schema import Config
-from uwirl.motion.learning import LearningState
+from uwirl.motion.irl_planner import IrlPlanner
+from uwirl.motion.learning import Learning
 from uwirl.runs.interruption import Interruption
-from uwirl.runs.listeners import Board, Listener, Narrator, Saver
+from uwirl.runs.listeners import Board, Listener, Narrator
 from uwirl.runs.missions import MissionFlight, campaign
 from uwirl.runs.recorded import recorded
 from uwirl.runs.saving import Checkpoints, Origin
-from uwirl.study import run_folder
+from uwirl.study import checkpoint, run_folder
+from uwirl.study.learning_file import load, take_estimate, take_trim, take_weights
 from uwirl.study.tensorboard import TensorBoard
+from uwirl.world.readings import readings_of_each_vehicle
 
 log = logging.getLogger("uwirl")
 
@@ -46,37 +53,30 @@ def run(config: Config, experiment: str, folder: Path, overrides: Sequence[str] 
         settings = replace(config, resume=None)
         metrics |= {"overrides": effective(overrides), "config_hash": origin.config_hash(settings)}
         run_folder.write_config(folder, settings)
-        checkpoints = Checkpoints(folder, settings, metrics["config_hash"], overrides)
+        records, config_hash = origin.records(), metrics["config_hash"]
+        checkpoints = Checkpoints(folder, settings, config_hash, overrides, records, interruption)
         with TensorBoard(folder / "tb" if config.logging.tensorboard else None) as board:
             board.config(settings)
-            metrics |= _work(settings, folder, origin, checkpoints, interruption, board)
+            metrics |= _work(settings, folder, origin, checkpoints, board)
             board.compare(experiment, config.seed, overrides, metrics)
 
     return recorded(work, experiment, config.seed, folder)
 
 
 @torch.no_grad()
-def _work(
-    config: Config,
-    folder: Path,
-    origin: Origin,
-    checkpoints: Checkpoints,
-    interruption: Interruption,
-    board: TensorBoard,
-) -> dict[str, Any]:
+def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints, board: TensorBoard) -> dict[str, Any]:
     env = build.make_relay(config)
     planner, estimator = build.make_planner(config, config.planner, env), build.make_estimator(config.estimator, env)
-    records = origin.records()
+    records = checkpoints.records
     if records:
         log.info("continues after iteration %d, %.0f s of flight", records[-1].iteration, records[-1].seconds)
-    saver = Saver(checkpoints, interruption, board, records)
     narrator = Narrator(getattr(config.planner, "max_time_s", 0.0), config.logging.progress)
-    listeners: list[Listener] = [narrator, Board(board, records), saver]
+    listeners: list[Listener] = [narrator, Board(board, records, checkpoints.every), checkpoints]
     events = algorithm_1(env, estimator, planner, origin.start(env))
-    estimated, planned = _heard(events, listeners, interruption)
+    estimated, planned = _heard(events, listeners, checkpoints.interruption)
     metrics = run_folder.estimate_metrics(estimated.estimate)
     if planned.learned is not None:
-        metrics |= learning_metrics(config, planned.learned[1])
+        metrics |= run_folder.learning_metrics(planned.learned[1], config.scenario.dt_s)
     if config.scenario.layouts is not None:
         return metrics | campaign(config, planned.agent_in, folder)
 
@@ -90,8 +90,8 @@ def _work(
     metrics |= flight.report(flown, estimated, board, records, learning.basis)
     metrics["converged"] = records[-1].converged and flight.settled(flown[config.planner.name])
     metrics |= {"cost_total_start_policy": float(start.cost[0]), "cost_per_iteration": costs}
-    checkpoints.best(learning, state, estimated.estimate, records, costs)
-    checkpoints.last(learning, state, estimated.estimate, records, metrics)
+    checkpoints.best(learning, state, costs)
+    checkpoints.last(learning, state, metrics)
     board.cost_per_iteration(costs)
     return metrics
 
@@ -115,11 +115,42 @@ def _heard(
     return ends[Estimated], ends[Planned]
 
 
-def learning_metrics(config: Config, state: LearningState) -> dict[str, Any]:
-    """Entries of metrics.json about how it was learned."""
-    return {
-        "learning_vehicle_seconds": state.seconds,
-        "learning_env_steps": round(state.seconds / config.scenario.dt_s),
-        "learning_collisions": state.contacts,
-        "policy_iterations": state.learner.iteration,
-    }
+def evaluate(config: Config, experiment: str, folder: Path, path: Path) -> dict[str, Any]:
+    """Fly a checkpoint's policy and write the run folder.
+
+    Args:
+        config: validated; of the scenario to fly.
+        experiment: its name.
+        folder: existing, where everything is written.
+        path: of the checkpoint.
+
+    Returns:
+        What metrics.json holds: the entries of a run, but for those of learning, and `checkpoint`.
+    """
+    torch.set_num_threads(config.threads)
+
+    def work(metrics: dict[str, Any], interruption: Interruption) -> None:
+        content = load(path, config.device)
+        metrics["config_hash"] = run_folder.config_hash(config, checkpoint.digest(path))
+        metrics |= {"checkpoint": str(path), "checkpoint_iteration": content["iteration"]}
+        run_folder.write_config(folder, config)
+        metrics |= _evaluated(config, folder, path, content)
+
+    return recorded(work, experiment, config.seed, folder)
+
+
+@torch.no_grad()
+def _evaluated(config: Config, folder: Path, path: Path, content: dict[str, Any]) -> dict[str, Any]:
+    env = build.make_relay(config)
+    estimate = take_estimate(path, content, env.budget, env.scenario.vehicles)
+    planner = build.make_planner(config, config.planner, env)
+    assert isinstance(planner, IrlPlanner)
+    learning = Learning(planner, env, estimate)
+    weights = take_weights(path, content, learning.basis, learning.learners)
+    agent_in = partial(learning.agent, weights, take_trim(path, content, learning.learners))
+    metrics = run_folder.estimate_metrics(estimate)
+    if config.scenario.layouts is not None:
+        return metrics | campaign(config, agent_in, folder)
+    flight = MissionFlight(config, env, folder)
+    flown = {**flight.baseline(estimate), config.planner.name: flight.fly(agent_in(env))}
+    return metrics | flight.report(flown, Estimated(readings_of_each_vehicle(env), estimate))

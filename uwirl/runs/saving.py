@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,18 +11,18 @@ from typing import Any
 from torch import Tensor
 
 import uwirl
-from uwirl.algorithm import Start
+from uwirl.algorithm import Estimated, Event, Improved, Planned, Start
 from uwirl.config.schema import Config
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
-from uwirl.runs.interruption import INTERRUPTED
+from uwirl.runs.interruption import INTERRUPTED, Interruption
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study import checkpoint, run_folder
 from uwirl.study.checkpoint import CheckpointError
 from uwirl.study.learning_file import (
-    features_of,
     history_of,
     learner_of,
     load,
+    policy_of,
     records_so_far,
     restore,
     take_estimate,
@@ -42,7 +42,7 @@ class Origin:
 
     parts: tuple[str, ...] = ()
     path: Path = Path()
-    content: dict[str, Any] | None = None
+    content: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, config: Config) -> Origin:
@@ -56,35 +56,28 @@ class Origin:
 
     def config_hash(self, config: Config) -> str:
         """Of a run from here; that of the interrupted one if it is continued."""
-        if self.content is None:
-            return run_folder.config_hash(config)
         if "everything" in self.parts:
             return self.content["config_hash"]
-        return run_folder.config_hash(config, checkpoint.digest(self.path))
+        return run_folder.config_hash(config, checkpoint.digest(self.path) if self.content else None)
 
     def start(self, env: Relay) -> Start:
         """What Algorithm 1 takes over."""
-        content, path = self.content, self.path
-        if content is None:
-            return Start()
-        estimate = weights = state = None
+
+        def weights(learning: Learning) -> Tensor:
+            return take_weights(self.path, self.content, learning.basis, learning.learners)
+
+        estimate = None
         if "estimate" in self.parts:
-            estimate = take_estimate(path, content, env.budget, env.scenario.vehicles)
-        if "weights" in self.parts:
-            weights = partial(_weights, path, content)
-        if "everything" in self.parts:
-            state = partial(restore, content=content)
-        return Start(estimate, weights, state)
+            estimate = take_estimate(self.path, self.content, env.budget, env.scenario.vehicles)
+        return Start(
+            estimate,
+            weights if "weights" in self.parts else None,
+            partial(restore, content=self.content) if "everything" in self.parts else None,
+        )
 
     def records(self) -> list[IterationRecord]:
         """Of the learning that is continued, if any is."""
-        if self.content is None or "everything" not in self.parts:
-            return []
-        return records_so_far(self.path, self.content)
-
-
-def _weights(path: Path, content: dict[str, Any], learning: Learning) -> Tensor:
-    return take_weights(path, content, learning.basis, learning.learners)
+        return records_so_far(self.path, self.content) if "everything" in self.parts else []
 
 
 def unfinished(folder: Path, config_hash: str) -> Path | None:
@@ -101,18 +94,29 @@ def unfinished(folder: Path, config_hash: str) -> Path | None:
 
 
 class Checkpoints:
-    """Writes checkpoints/last.pt and best.pt.
+    """Listens to what is learned, and writes checkpoints/last.pt every few legs, at the end, and where a signal comes.
 
     Args:
         folder: of the run.
         config: its settings.
         config_hash: of them.
         overrides: the command line that composes them.
+        records: of a run that is continued.
+        interruption: tells of signals.
     """
 
-    def __init__(self, folder: Path, config: Config, config_hash: str, overrides: Sequence[str]):
-        self.folder = folder / "checkpoints"
-        self.every = config.checkpoint.every
+    def __init__(
+        self,
+        folder: Path,
+        config: Config,
+        config_hash: str,
+        overrides: Sequence[str],
+        records: list[IterationRecord],
+        interruption: Interruption,
+    ):
+        self.folder, self.every = folder / "checkpoints", config.checkpoint.every
+        self.records, self.interruption = records, interruption
+        self.estimate: ChannelEstimate
         self.run = {
             "uwirl_version": uwirl.__version__,
             "config": asdict(config),
@@ -120,41 +124,30 @@ class Checkpoints:
             "overrides": list(overrides),
         }
 
-    def last(
-        self,
-        learning: Learning,
-        state: LearningState,
-        estimate: ChannelEstimate,
-        records: Sequence[IterationRecord],
-        metrics: dict[str, Any] | None = None,
-    ) -> None:
-        """The newest policy, and all that is needed to go on learning."""
-        learner = {"learner": learner_of(state), "history": history_of(records)}
-        content = self._policy(learning, state, estimate, records[-1]) | learner | {"metrics": metrics or {}}
-        checkpoint.save(self.folder / "last.pt", content)
+    def __call__(self, event: Event) -> None:
+        """Keep an event; raises Interrupted if a signal came, with all that was learned saved."""
+        match event:
+            case Estimated(_, estimate):
+                self.estimate = estimate
+            case Improved(learning, state, records):
+                self.records += records
+                interrupted = self.interruption.number is not None
+                if self.records and (interrupted or state.flight.leg % self.every == 0):
+                    self.last(learning, state)
+                self.interruption.check()
+            case Planned(_, (learning, state)):
+                self.last(learning, state)
 
-    def best(
-        self,
-        learning: Learning,
-        state: LearningState,
-        estimate: ChannelEstimate,
-        records: Sequence[IterationRecord],
-        costs: Sequence[float],
-    ) -> None:
+    def last(self, learning: Learning, state: LearningState, metrics: dict[str, Any] | None = None) -> None:
+        """The newest policy, and all that is needed to go on learning."""
+        learner = {"learner": learner_of(state), "history": history_of(self.records), "metrics": metrics or {}}
+        self._save("last.pt", policy_of(learning, state, self.estimate, self.records[-1]) | learner)
+
+    def best(self, learning: Learning, state: LearningState, costs: Sequence[float]) -> None:
         """The policy of the lowest of its missions' costs J, which learning need not end with."""
         k = min(range(len(costs)), key=costs.__getitem__)
-        content = self._policy(learning, state, estimate, records[k]) | {"cost_total": costs[k]}
-        checkpoint.save(self.folder / "best.pt", content)
+        policy = policy_of(learning, state, self.estimate, self.records[k])
+        self._save("best.pt", policy | {"cost_total": costs[k]})
 
-    def _policy(
-        self, learning: Learning, state: LearningState, estimate: ChannelEstimate, record: IterationRecord
-    ) -> dict[str, Any]:
-        return self.run | {
-            "iteration": record.iteration,
-            "vehicle_seconds": record.seconds,
-            "critic": record.critic,
-            "actor": record.actor,
-            "trim": state.trim,
-            "features": features_of(learning.basis),
-            "estimate": estimate.state_dict(),
-        }
+    def _save(self, name: str, content: dict[str, Any]) -> None:
+        checkpoint.save(self.folder / name, self.run | content)

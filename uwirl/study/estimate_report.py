@@ -1,4 +1,4 @@
-"""Report of `uwirl-estimate`: a table of the channel, diagnostics, and a warning if something looks wrong."""
+"""Report of `uwirl-estimate`: what it read, the channel, diagnostics, and a warning if something looks wrong."""
 
 from __future__ import annotations
 
@@ -11,12 +11,35 @@ from torch import Tensor
 from uwirl.snr.diagnostics import Diagnostics
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.snr.intervals import intervals
+from uwirl.study.survey import Survey
 
 LABELS = ("K (dB)", "n", "zeta^2 (dB^2)", "varphi (m)", "rho^2 (dB^2)")
 # Probability with which each check reports a correct log as wrong.
 DOUBT = 0.001
 # Skewness and kurtosis need at least this many readings.
 LEAST = 20
+# Lines of readings that are not believed.
+LISTED = 20
+
+
+def introduction(survey: Survey, name: str) -> Iterator[str]:
+    """Lines on what was read, and what of it counts.
+
+    Args:
+        survey: of the log.
+        name: of the log.
+    """
+    counts, refused = survey.counts, survey.refused.tolist()
+    kinds = ("readings", "dropouts", "messages", "sensors")
+    yield f"{name}: " + ", ".join(f"{counts[kind]:,} {kind}" for kind in kinds)
+    if survey.whole.unused:
+        yield f"columns not used: {', '.join(survey.whole.unused)}"
+    if refused:
+        which = ", ".join(map(str, refused[:LISTED])) + (", ..." if len(refused) > LISTED else "")
+        yield f"{len(refused):,} readings do not belong and are left out (estimator.robust), on line {which}"
+    used = counts["readings_used"]
+    if used + len(refused) < counts["readings"]:
+        yield f"{used:,} readings are used, evenly over the log (max_readings={survey.most})"
 
 
 def table(estimate: ChannelEstimate, readings: int) -> Iterator[str]:

@@ -96,6 +96,28 @@ def restore(learning: Learning, content: dict[str, Any]) -> LearningState:
     return LearningState(flight, learner, saved["trim"], saved["start"], saved["seconds"], saved["contacts"])
 
 
+def policy_of(
+    learning: Learning, state: LearningState, estimate: ChannelEstimate, record: IterationRecord
+) -> dict[str, Any]:
+    """One iterate as plain data: all that is needed to fly it, and what the `take_...` below take.
+
+    Args:
+        learning: that it comes from.
+        state: of it.
+        estimate: of the channel that it was learned for.
+        record: of the iterate.
+    """
+    return {
+        "iteration": record.iteration,
+        "vehicle_seconds": record.seconds,
+        "critic": record.critic,
+        "actor": record.actor,
+        "trim": state.trim,
+        "features": features_of(learning.basis),
+        "estimate": estimate.state_dict(),
+    }
+
+
 def features_of(basis: Basis) -> dict[str, Any]:
     """Names of the features of a basis, which give its weights their meaning."""
     return {"critic": list(basis.critic_names), "actor": [list(names) for names in basis.actor_names]}

@@ -1,28 +1,35 @@
-"""Files of a run: config.yaml, metrics.json, trajectory.npz; and which run a folder belongs to."""
+"""Files of a run: config.yaml, metrics.json, arrays; and which run a folder belongs to."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import logging
+import math
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from omegaconf import OmegaConf
+from torch import Tensor
 
 from uwirl.config.estimate_schema import EstimateConfig
 from uwirl.config.overrides import FREE
 from uwirl.config.schema import Config
+from uwirl.motion.learning import LearningState
+from uwirl.snr.diagnostics import Diagnostics
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.atomic_io import read_whole, write_arrays, write_whole
+from uwirl.study.campaign import Outcomes
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import LinksAtMessages
+from uwirl.study.snr_map import SnrMap
+from uwirl.world.layouts import Layouts
 
 log = logging.getLogger("uwirl")
 
@@ -199,6 +206,16 @@ def estimate_metrics(estimate: ChannelEstimate) -> dict[str, Any]:
     return metrics
 
 
+def learning_metrics(state: LearningState, dt: float) -> dict[str, Any]:
+    """Entries of metrics.json about how it was learned, in steps of dt, s."""
+    return {
+        "learning_vehicle_seconds": state.seconds,
+        "learning_env_steps": round(state.seconds / dt),
+        "learning_collisions": state.contacts,
+        "policy_iterations": state.learner.iteration,
+    }
+
+
 def write_trajectory(folder: Path, evaluation: Evaluation, messages: LinksAtMessages) -> None:
     """Write trajectory.npz, with the mission of the first world.
 
@@ -215,4 +232,34 @@ def write_trajectory(folder: Path, evaluation: Evaluation, messages: LinksAtMess
         link_capacity_kbps=evaluation.link_capacity[:, 0].numpy(force=True),
         message_time_s=messages.time.numpy(force=True),
         link_capacity_shadowed_kbps=messages.link_capacity.numpy(force=True),
+    )
+
+
+def write_layouts(folder: Path, layouts: Layouts, outcomes: Outcomes) -> None:
+    """layouts.npz of N worlds: start [N, M, 4], centre [N, O, 2], nan of absent obstacles, radius, and Outcomes."""
+    obstacles = layouts.obstacles
+    write_arrays(
+        folder / "layouts.npz",
+        start=layouts.start.numpy(force=True),
+        centre=obstacles.centre.where(obstacles.present[..., None], math.nan).numpy(force=True),
+        radius=obstacles.radius.numpy(force=True),
+        **{field.name: getattr(outcomes, field.name).numpy(force=True) for field in fields(outcomes)},
+    )
+
+
+def write_estimate(folder: Path, snr_map: SnrMap, diagnostics: Diagnostics, line: Tensor) -> None:
+    """estimate.npz: the map [Y, X] over x_m and y_m, and of m readings line and residual."""
+    write_arrays(
+        folder / "estimate.npz",
+        x_m=snr_map.grid.x.numpy(),
+        y_m=snr_map.grid.y.numpy(),
+        z_m=snr_map.grid.z,
+        from_m=snr_map.sender.numpy(),
+        snr_mean_dB=snr_map.mean.numpy(),
+        snr_std_dB=snr_map.std.numpy(),
+        capacity_kbps=snr_map.capacity.numpy(),
+        outage=snr_map.outage.numpy(),
+        line=line.numpy(),
+        residual_dB=diagnostics.residual.numpy(),
+        standardized=diagnostics.standardized.numpy(),
     )
