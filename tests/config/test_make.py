@@ -70,6 +70,14 @@ def test_keys_settings_and_what_is_given_arrive_as_they_are():
     assert [type(value) for value in named["more"]] == [int, dict]
 
 
+def test_settings_may_hold_objects_of_their_own():
+    config = PlannerConfig(name="mine", target="gains.Gains", settings={"part": {"_target_": "gains.Gains", "k": 2}})
+    _, named = make(config)
+    assert named["part"] == [(), {"k": 2}]
+    with pytest.raises(ConfigError, match=r"planner.settings: .*nowhere"):
+        make(PlannerConfig(name="mine", target="gains.Gains", settings={"part": {"_target_": "nowhere.X"}}))
+
+
 def test_a_function_with_its_settings_is_one_already():
     made = make(EstimatorConfig(name="mine", target="gains.function", settings={"n": 5}))
     assert made("readings", budget="budget") == ("readings", "budget", 5)

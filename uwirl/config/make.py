@@ -5,6 +5,9 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from hydra.errors import HydraException
+from hydra.utils import instantiate
+
 from uwirl.config.checks import ConfigError, MadeConfig
 from uwirl.config.custom import FAMILIES, found, lacking, taken
 
@@ -31,7 +34,13 @@ def make(section: MadeConfig, *given: Any, **offered: Any) -> Any:
     if not isinstance(target, type) and not given:
         return partial(target, **{name: value for name, value in offered.items() if name in names}, **section.settings)
     parts = {name: value for name, value in (section.values() | offered).items() if anything or name in names}
-    made = target(*given, **(parts | section.settings))
+    try:
+        # Settings may hold objects of their own, by `_target_`. What is given never passes through OmegaConf, which
+        # takes dataclasses for settings.
+        maker = instantiate({"_target_": path, "_partial_": True, "_convert_": "all", **section.settings})
+    except HydraException as error:
+        raise ConfigError(f"{section.family}.settings", " ".join(str(error).split())) from None
+    made = maker(*given, **{name: value for name, value in parts.items() if name not in section.settings})
     family = FAMILIES.get(type(section))
     missing = lacking(made, family.protocol) if family else []
     if family and missing:

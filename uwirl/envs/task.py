@@ -127,6 +127,7 @@ class RelayTask:
 
     @property
     def scenario(self) -> Scenario:
+        """Of the worlds."""
         return self.evaluator.env.scenario
 
     @property

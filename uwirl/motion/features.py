@@ -131,6 +131,7 @@ class LinkFrameBasis(LinkFrameFeatures):
         return math.isfinite(L) and min(self.scales) == L
 
     def hovering(self, weights: Tensor) -> LinearActor:
+        """The policy of weights [L, n3] itself, which is a function of xi."""
         return LinearActor(self, weights)
 
     def start_weights(self) -> Tensor:
@@ -141,6 +142,7 @@ class LinkFrameBasis(LinkFrameFeatures):
         return torch.tensor([*surge, *sway, *heave, *yaw], dtype=torch.float64)
 
     def bounds(self, inertia_lower: Sequence[float], dt: float) -> Bounds:
+        """Bounds of a damped convex potential that holds the heading, see MotionBasis."""
         # Per scale (own axis, other planar axis). Without a minimum pull on the own axis, vehicles that start far away
         # are very slow with some fits.
         weakest = [(-3.0, -3.0) if self._nearest(L) else (-0.3, 0.0) for L in self.scales]
@@ -193,6 +195,7 @@ class ErrorBasis(LinkFrameFeatures):
         return torch.stack([2.0 * error, xi[..., 4:]], -1).flatten(-2)
 
     def hovering(self, weights: Tensor) -> LinearActor:
+        """The policy of weights [L, n3] itself, which is a function of xi."""
         return LinearActor(self, weights)
 
     def start_weights(self) -> Tensor:
@@ -203,6 +206,7 @@ class ErrorBasis(LinkFrameFeatures):
         return torch.stack([restoring, torch.tensor([-20.0, -20.0, -20.0, -1.0], dtype=torch.float64)], -1).flatten()
 
     def bounds(self, inertia_lower: Sequence[float], dt: float) -> Bounds:
+        """Bounds of a damped convex potential, see MotionBasis."""
         lower = torch.tensor([-200.0, -200.0, -200.0, -20.0], dtype=torch.float64)
         upper = torch.tensor([-0.1, -0.1, -0.1, -0.1], dtype=torch.float64)
         if self.velocity:

@@ -125,6 +125,7 @@ class GeodesicBasis:
         return self.weights(near, (1.0, -100.0), 1.0, (-40.0, -6.0))
 
     def bounds(self, inertia_lower: Sequence[float], dt: float) -> Bounds:
+        """Bounds of the link-frame basis, and of the pace, the depth and the heading along the way."""
         near = self.near.bounds(inertia_lower, dt)
         # The Munk moment always turns a vehicle sideways to its route; a negative weight would add to it.
         near.lower[-1] = 0.0

@@ -12,4 +12,6 @@ from uwirl.world.relay import Relay
 class Planner(Protocol):
     """Finds an agent. It may fly in `env` to learn, but knows the channel only through estimate and budget."""
 
-    def fit(self, env: Relay, estimate: ChannelEstimate) -> Agent: ...
+    def fit(self, env: Relay, estimate: ChannelEstimate) -> Agent:
+        """The agent for these worlds."""
+        ...

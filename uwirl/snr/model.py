@@ -43,6 +43,7 @@ class Geometry(NamedTuple):
 
     @property
     def readings(self) -> int:
+        """S N."""
         return self.H.shape[0] * self.H.shape[1]
 
     @property

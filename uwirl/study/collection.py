@@ -73,9 +73,11 @@ class Job:
 
     @property
     def complete(self) -> bool:
+        """Whether the run ended well."""
         return self.metrics["status"] == "complete"
 
     def number(self, metric: str) -> float | None:
+        """A metric's value; None if it is no number."""
         return as_number(self.metrics.get(metric))
 
 

@@ -36,6 +36,11 @@ class LinkBudget:
 
     @cached_property
     def absorption_dB_per_km(self) -> float:
+        """a(f), dB/km.
+
+        Raises:
+            ValueError: an absorption law without a frequency.
+        """
         if self.absorption == "none":
             return 0.0
         if self.frequency_khz is None:

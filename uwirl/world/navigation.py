@@ -34,6 +34,7 @@ class Navigation:
 
     @property
     def is_exact(self) -> bool:
+        """Whether a vehicle knows its pose and velocity exactly."""
         return not any((self.position_m, self.yaw_rad, self.velocity_mps, self.yaw_rate_rad_s, self.drift_mps))
 
     def error(self, streams: RandomStreams, step: Tensor, time: Tensor, vehicles: int) -> Tensor:

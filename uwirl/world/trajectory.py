@@ -82,6 +82,7 @@ class Trajectory:
 
     @property
     def last(self) -> VehicleState:
+        """State at the end, [B, M]."""
         return VehicleState(self.components[-1])
 
     @property
