@@ -24,7 +24,7 @@ DT = 0.05
 def error(navigation: Navigation, step: int, streams: RandomStreams | None = None, vehicles: int = 2) -> Tensor:
     streams = streams or RandomStreams.worlds(3, WORLDS)
     steps = torch.full_like(streams.world, step)
-    return navigation.error(streams, steps, DT * steps.double(), vehicles)
+    return navigation.error(streams, steps, DT, vehicles)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_a_batch_equals_its_singles():
 def test_worlds_at_different_steps_equal_singles():
     both, streams = replace(NOISY, drift_mps=0.05), RandomStreams.worlds(3, 4)
     step = torch.tensor([0, 9, 2, 1_000])
-    together = both.error(streams, step, DT * step.double(), 1)
+    together = both.error(streams, step, DT, 1)
     for k in range(4):
         assert torch.equal(together[k], error(both, int(step[k]), streams, vehicles=1)[k])
 

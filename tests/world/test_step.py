@@ -66,7 +66,9 @@ def env(request: pytest.FixtureRequest, make_pair) -> Relay:
 
 def row(value: Any, world: int) -> Any:
     """One world's part of an observation."""
-    return type(value)(*(row(field, world) for field in value)) if isinstance(value, tuple) else value[world, None]
+    if isinstance(value, tuple):
+        return type(value)(*(row(field, world) for field in value))
+    return value[world, None] if isinstance(value, torch.Tensor) else value
 
 
 def identical(a: object, b: object) -> None:

@@ -37,13 +37,13 @@ class Navigation:
         """Whether a vehicle knows its pose and velocity exactly."""
         return not any((self.position_m, self.yaw_rad, self.velocity_mps, self.yaw_rate_rad_s, self.drift_mps))
 
-    def error(self, streams: RandomStreams, step: Tensor, time: Tensor, vehicles: int) -> Tensor:
+    def error(self, streams: RandomStreams, step: Tensor, dt: float, vehicles: int) -> Tensor:
         """Error added to the true (eta, nu), [B, M, 8], a pure function of world and step.
 
         Args:
             streams: B worlds.
             step: int64 [B].
-            time: since the flight began, [B], s.
+            dt: duration of a step, s.
             vehicles: M.
         """
         std = torch.tensor(
@@ -54,4 +54,4 @@ class Navigation:
         # Offset by 1, because the random numbers of step 0 give the drift.
         noise = std * streams.normal(Stream.NAVIGATION, 1 + step, 8 * vehicles).view(-1, vehicles, 8)
         drift = self.drift_mps * streams.normal(Stream.NAVIGATION, 0, 2 * vehicles).view(-1, vehicles, 2)
-        return noise + torch.nn.functional.pad(drift * time[:, None, None], (0, 6))
+        return noise + torch.nn.functional.pad(drift * (step.double() * dt)[:, None, None], (0, 6))

@@ -15,7 +15,7 @@ class Observation(NamedTuple):
 
     Attributes:
         step: number of the step, from the beginning of the flight, int64 [B].
-        time: since the beginning of the flight, [B], float64, s.
+        dt: duration of a step, s.
         eta: the vehicle's pose, as given by its navigation, [B, M, 4].
         nu: the vehicle's velocity, as given by its navigation, [B, M, 4].
         obstacles: those that each vehicle detects now, or all if they are known; fields [B, M, O(, 2)]; `present` is
@@ -25,12 +25,17 @@ class Observation(NamedTuple):
     """
 
     step: Tensor
-    time: Tensor
+    dt: float
     eta: Tensor
     nu: Tensor
     obstacles: Obstacles
     contact: Tensor
     messages: Messages
+
+    @property
+    def time(self) -> Tensor:
+        """Since the beginning of the flight, [B], float64, s."""
+        return self.step.double() * self.dt
 
     @property
     def position(self) -> Tensor:

@@ -93,16 +93,15 @@ class Relay:
         """The vehicles' observation at a state; a pure function of the state."""
         scenario = self.scenario
         x, step = state.components, state.step
-        time = step.double() * scenario.dt
         eta, nu = x[:4].movedim(0, -1), x[4:].movedim(0, -1)
         # `step` limits z to [-depth, 0]; truncated to an integer, this is 1 or -1 only at the ends of that range.
         middle = 0.5 * scenario.depth
         contact = x[2].add(middle).div_(middle).to(torch.int8)
         if not scenario.navigation.is_exact:
-            error = scenario.navigation.error(self.streams, step, time, x.shape[2]).to(x.dtype)
+            error = scenario.navigation.error(self.streams, step, scenario.dt, x.shape[2]).to(x.dtype)
             eta, nu = eta + error[..., :4], nu + error[..., 4:]
-        obstacles = self._detected(x, time)
-        return Observation(step, time, eta, nu, obstacles, contact, self._messages(state, eta, nu))
+        obstacles = self._detected(x, step)
+        return Observation(step, scenario.dt, eta, nu, obstacles, contact, self._messages(state, eta, nu))
 
     def rollout(
         self, agent: Agent, state: WorldState | None = None, steps: int | None = None, carry: Any = None
@@ -162,7 +161,7 @@ class Relay:
         w.masked_fill_(w * z.sub(inside) > 0.0, 0.0)
         z.copy_(inside)
 
-    def _detected(self, x: Tensor, time: Tensor) -> Obstacles:
+    def _detected(self, x: Tensor, step: Tensor) -> Obstacles:
         """Obstacles that each vehicle detects at its position, fields [B, M, O(, 2)]."""
         scenario, (B, M) = self.scenario, x.shape[1:]
         everywhere = scenario.obstacles
@@ -172,6 +171,7 @@ class Relay:
         known = self._map[1]
         if scenario.detection_range == torch.inf or everywhere.number == 0:
             return known
+        time = step.double() * scenario.dt
         gap = everywhere.clearance(x[:3].movedim(0, -1), scenario.vehicle_radius, time)
         detected = known.present & (gap <= scenario.detection_range)
         hidden = known.each(lambda field: torch.where(_like(detected, field), field, torch.zeros_like(field)))
