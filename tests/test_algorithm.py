@@ -5,6 +5,8 @@ import torch
 
 from uwirl import build
 from uwirl.algorithm import Estimated, Improved, Planned, Start, algorithm_1
+from uwirl.motion.guidance import Geodesic
+from uwirl.motion.route_view import LearnedGeodesic
 from uwirl.snr.estimators import estimate_each_vehicle
 
 SHORT = ("experiment=fig5_free", "planner.max_time_s=20", "planner.tolerance_weights=0")
@@ -44,6 +46,14 @@ def test_a_planner_that_does_not_learn_plans_at_once(stages):
     assert events[-1].learned is None
     agent, (_, observation) = events[-1].agent_in(env), env.reset()
     assert agent.act(agent.init(observation), observation)[0].shape == (1, 1, 4)
+
+
+def test_a_custom_planner_with_a_basis_is_guided_as_its_basis_needs(stages):
+    """The geodesic basis learns the speed along the route, so its agents cannot use the guidance of other agents."""
+    geodesic = ("experiment=fig5_free", "basis=geodesic")
+    custom = ("planner=custom", "planner.target=uwirl.motion.irl_planner.IrlPlanner")
+    planners = [stages(*geodesic, *choice)[2] for choice in ((), custom, ("planner=pd",))]
+    assert [type(planner.guidance) for planner in planners] == [LearnedGeodesic, LearnedGeodesic, Geodesic]
 
 
 def test_nothing_is_estimated_that_is_known(stages):

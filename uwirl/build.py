@@ -1,4 +1,4 @@
-"""The one place where a configuration becomes objects; all of them by `uwirl.config.make`, which heeds `target`."""
+"""Objects from a configuration; `uwirl.config.make` makes those whose class the configuration names."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from uwirl.config.custom import found, taken
-from uwirl.config.make import make
+from uwirl.config.make import make, takes
 from uwirl.config.schema import ChannelConfig, Config, CostConfig, EstimatorConfig, GuardConfig, PlannerConfig
 from uwirl.motion.avoidance import smooth
 from uwirl.motion.cost import CostWeights, RelayCost
@@ -81,7 +81,7 @@ def _obstacles(config: Config, tensor: Callable[[list], Tensor]) -> Obstacles:
 
 
 def make_channel(config: ChannelConfig) -> Channel:
-    """The true channel; a class of the user's own is its link budget, or all of it."""
+    """The true channel; a custom class is its link budget, or the whole channel if it extends Channel."""
     water = Water(**asdict(config.water))
     if config.target is not None and issubclass(found(config.target, "channel.target"), Channel):
         return make(config, budget=LinkBudget(**_taken_by(LinkBudget, config.values()) | {"water": water}))
@@ -95,14 +95,14 @@ def _taken_by(target: type, values: dict[str, Any]) -> dict[str, Any]:
 
 
 def make_relay(config: Config, streams: RandomStreams | None = None) -> Relay:
-    """The environment; one world of the configured seed unless other streams are given."""
+    """The environment; one world of the configured seed unless other random streams are given."""
     vehicle = make(config.vehicle, dtype=getattr(torch, config.dtype), device=config.device)
     streams = streams or RandomStreams.worlds(config.seed, 1, config.device)
     return Relay(make_scenario(config), vehicle, make_channel(config.channel), streams)
 
 
 def make_layouts(config: Config) -> tuple[Relay, Layouts]:
-    """Random layouts, and the environment that they share but for starts and obstacles."""
+    """Random layouts, and the environment in which they replace starts and obstacles."""
     settings = config.scenario.layouts
     assert settings is not None
     streams = RandomStreams.worlds(settings.seed, settings.count, config.device)
@@ -117,7 +117,7 @@ def make_layouts(config: Config) -> tuple[Relay, Layouts]:
 
 
 def make_estimator(config: EstimatorConfig, env: Relay | None = None) -> Estimator:
-    """Of stage 1; `oracle` is told the truth of an environment."""
+    """The estimator of stage 1; `oracle` gets the true channel of an environment."""
     truth = {"channel": truth_of(env).channel} if env is not None and config.name == "oracle" else {}
     estimator: Estimator = make(config, **truth)
     if not config.robust:
@@ -126,23 +126,23 @@ def make_estimator(config: EstimatorConfig, env: Relay | None = None) -> Estimat
 
 
 def make_cost(config: CostConfig) -> CostWeights:
-    """What missions are judged by, and flown for."""
+    """The weights of the running cost, by which missions are planned and evaluated."""
     return make(config, avoidance=smooth)
 
 
 def make_guard(config: Config, env: Relay) -> Guard:
-    """What stands between agent and thrusters."""
+    """The guard between agent and thrusters."""
     return make(config.safety, Limits.of(env))
 
 
 def make_guidance(config: Config) -> Guidance:
-    """How missions are led to their targets."""
+    """The guidance to the targets in missions."""
     margin = config.safety.margin_m if isinstance(config.safety, GuardConfig) else 0.0
     return make(config.guidance, margin_m=margin)
 
 
 def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
-    """A planner with these settings, and with those of these parts that it takes by name."""
+    """A planner, with those of cost, guard, guidance, basis, solver and experience that its class takes by name."""
     guidance = make_guidance(config)
     learned = guidance
     if config.basis.name == "geodesic" and isinstance(guidance, Geodesic):
@@ -155,7 +155,7 @@ def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
         planner,
         cost=make_cost(config.cost),
         guard=make_guard(config, env),
-        guidance=learned if planner.name == "irl" else guidance,
+        guidance=learned if takes(planner, "basis") else guidance,
         basis=basis,
         solver=partial(make, config.solver),
         experience=make(config.experience),
@@ -163,5 +163,5 @@ def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
 
 
 def make_evaluator(config: Config, env: Relay) -> Evaluator:
-    """Of missions in these worlds."""
+    """The evaluator of missions in an environment."""
     return Evaluator(env, make_cost(config.cost), make_guard(config, env))

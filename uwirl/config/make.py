@@ -1,4 +1,4 @@
-"""One way from a section of the configuration to an object, of uwirl's classes and of the user's own alike."""
+"""Objects from sections of the configuration, whether the class is one of uwirl's or a custom one."""
 
 from __future__ import annotations
 
@@ -13,23 +13,18 @@ from uwirl.config.custom import FAMILIES, found, lacking, taken
 
 
 def make(section: MadeConfig, *given: Any, **offered: Any) -> Any:
-    """The object that a section describes; a function with its settings, such as an estimator, is one already.
+    """The object that a section describes; for a function, such as an estimator, the function with its settings.
 
     Args:
-        section: validated. Its class is made from its own keys and those of `settings`, by name.
-        given: what the class is made from besides, by position.
-        offered: what it is made from if it takes something by that name; a key of the section by the same name gives
-            way, one of `settings` does not.
+        section: a validated section, whose keys and `settings` are passed by name.
+        given: further arguments, passed by position.
+        offered: further arguments, passed by name if the class takes them; they replace keys of the section, but not
+            of `settings`.
 
     Raises:
-        ConfigError: there is no such class, or its objects lack what their family must have.
+        ConfigError: the class does not exist, or the object lacks methods of its family.
     """
-    key, path = f"{section.family}.target", section.target or type(section).target
-    if path is None:
-        raise ConfigError(key, "names no class; give package.module.Class")
-    # As Hydra would have filled it in.
-    path = path.replace("${.name}", getattr(section, "name", ""))
-    target = found(path, key)
+    key, path, target = _target(section)
     names, anything = taken(target)
     if not isinstance(target, type) and not given:
         return partial(target, **{name: value for name, value in offered.items() if name in names}, **section.settings)
@@ -46,3 +41,23 @@ def make(section: MadeConfig, *given: Any, **offered: Any) -> Any:
     if family and missing:
         raise ConfigError(key, f"{path} is no {family.protocol}: it has no {', '.join(missing)}")
     return made
+
+
+def takes(section: MadeConfig, name: str) -> bool:
+    """Whether the class of a section takes an argument of this name.
+
+    Raises:
+        ConfigError: the class does not exist.
+    """
+    names, anything = taken(_target(section)[2])
+    return anything or name in names
+
+
+def _target(section: MadeConfig) -> tuple[str, str, Any]:
+    """Key, dotted path and class, or function, of a section."""
+    key, path = f"{section.family}.target", section.target or type(section).target
+    if path is None:
+        raise ConfigError(key, "names no class; give package.module.Class")
+    # As Hydra would have interpolated it.
+    path = path.replace("${.name}", getattr(section, "name", ""))
+    return key, path, found(path, key)
