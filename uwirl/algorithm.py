@@ -1,6 +1,6 @@
 """Algorithm 1: estimate the channel, then fly, evaluate and improve until nothing changes any more.
 
-It yields what happens, and neither logs, nor draws, nor saves: who wants to do so listens (`uwirl.runs.listeners`).
+A generator of events. It neither logs, nor draws, nor saves: listeners do so (`uwirl.runs.listeners`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from uwirl.motion.irl_planner import IrlPlanner
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
 from uwirl.motion.planner import Planner
 from uwirl.snr.estimate import ChannelEstimate
-from uwirl.snr.estimators import Estimator
+from uwirl.snr.estimators import Estimator, estimate_each_vehicle
 from uwirl.world.agent import Agent
 from uwirl.world.readings import Readings, readings_of_each_vehicle
 from uwirl.world.relay import Relay
@@ -27,9 +27,9 @@ class Start:
     """What is known before a run.
 
     Attributes:
-        estimate: of the channel; None to make one from readings.
-        weights: those to start learning from; None for the basis' own.
-        state: of learning that goes on; None to begin.
+        estimate: the channel estimate; None to make one from readings.
+        weights: returns the weights to start learning with, [L, n3]; None for those of the basis.
+        state: returns the state from which learning continues; None to begin.
     """
 
     estimate: ChannelEstimate | None = None
@@ -38,14 +38,14 @@ class Start:
 
 
 class Estimated(NamedTuple):
-    """Stage 1 is over: each vehicle's readings, and the channel behind them."""
+    """The end of stage 1: each vehicle's readings, and the channel estimated from them, [M] data sets."""
 
     readings: list[Readings]
     estimate: ChannelEstimate
 
 
 class Improved(NamedTuple):
-    """A leg was flown, and its experience taken in; `records` holds one for each policy iteration after it."""
+    """The end of a leg of the learning flight; `records` has one entry for each policy iteration after it."""
 
     learning: Learning
     state: LearningState
@@ -53,7 +53,7 @@ class Improved(NamedTuple):
 
 
 class Planned(NamedTuple):
-    """Stage 2 is over: the agent, for any worlds between the same nodes, and how it was learned if it was."""
+    """The end of stage 2: the agent for any worlds between the same nodes, and how it was learned; None if planned."""
 
     agent_in: Callable[[Relay], Agent]
     learned: tuple[Learning, LearningState] | None
@@ -64,22 +64,22 @@ Event = Estimated | Improved | Planned
 
 @torch.no_grad()
 def algorithm_1(env: Relay, estimator: Estimator, planner: Planner, start: Start | None = None) -> Iterator[Event]:
-    """Run it.
+    """Run Algorithm 1.
 
     Args:
-        env: where the vehicles are, and fly to learn.
-        estimator: of stage 1.
-        planner: of stage 2; one that learns is watched leg by leg.
+        env: the worlds in which the vehicles receive messages and fly to learn.
+        estimator: estimates the channel, stage 1.
+        planner: plans or learns, stage 2.
         start: what is known before; None for nothing.
 
     Yields:
-        Events as they happen; Planned is the last.
+        Estimated, then Improved after each leg if the planner learns, then Planned.
     """
     start = start or Start()
-    readings = readings_of_each_vehicle(env)
-    estimate = start.estimate
-    if estimate is None:
-        estimate = ChannelEstimate.join([estimator(data, env.budget) for data in readings])
+    if start.estimate is None:
+        readings, estimate = estimate_each_vehicle(env, estimator)
+    else:
+        readings, estimate = readings_of_each_vehicle(env), start.estimate
     yield Estimated(readings, estimate)
 
     if not isinstance(planner, IrlPlanner):
@@ -89,8 +89,6 @@ def algorithm_1(env: Relay, estimator: Estimator, planner: Planner, start: Start
     learning = Learning(planner, env, estimate)
     state = start.state(learning) if start.state else learning.init(start.weights and start.weights(learning))
     while not learning.is_over(state):
-        leg, state = learning.fly(state)
-        # Policy evaluation and improvement, several times: the same experience serves any policy.
-        state = learning.improve(state, leg)
+        state = learning.step(state)
         yield Improved(learning, state, learning.records(state))
     yield Planned(lambda worlds: learning.agent(state.learner.actor, state.trim, worlds), (learning, state))

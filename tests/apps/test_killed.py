@@ -158,7 +158,7 @@ def test_sigint_before_the_first_checkpoint_says_so(tmp_path, monkeypatch):
     def interrupted(*_):
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(algorithm, "readings_of_each_vehicle", interrupted)
+    monkeypatch.setattr(algorithm, "estimate_each_vehicle", interrupted)
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(Interrupted) as caught:
         go(tmp_path, *SHORT)

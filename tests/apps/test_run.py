@@ -251,7 +251,7 @@ def test_a_bug_is_written_down_and_raised(run, monkeypatch, tmp_path):
     def broken(*arguments):
         raise KeyError("not foreseen")
 
-    monkeypatch.setattr(algorithm, "readings_of_each_vehicle", broken)
+    monkeypatch.setattr(algorithm, "estimate_each_vehicle", broken)
     with pytest.raises(KeyError):
         run(*SHORT)
     written = json.loads((tmp_path / "metrics.json").read_text())

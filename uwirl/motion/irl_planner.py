@@ -19,10 +19,9 @@ class IrlPlanner(IrlSettings):
 
     @torch.no_grad()
     def fit(self, env: Relay, estimate: ChannelEstimate) -> Agent:
-        """Learn until the weights settle or the time is up; `uwirl.algorithm` has the same loop with events."""
+        """Learn until the weights settle or the time is up."""
         learning = Learning(self, env, estimate)
         state = learning.init()
         while not learning.is_over(state):
-            leg, state = learning.fly(state)
-            state = learning.improve(state, leg)
+            state = learning.step(state)
         return learning.agent(state.learner.actor, state.trim)

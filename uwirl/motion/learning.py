@@ -116,6 +116,11 @@ class Learning:
         flight = planner.experience.begin(hover)
         return LearningState(flight, learner, trim, start, planner.calibration_s, contacts_while(self.env, hover))
 
+    def step(self, state: LearningState) -> LearningState:
+        """Fly a leg and learn from it."""
+        leg, state = self.fly(state)
+        return self.improve(state, leg)
+
     def fly(self, state: LearningState) -> tuple[Leg, LearningState]:
         """Fly the next leg with the newest weights; the returned state has not learned from it yet."""
         actor = LinearActor(self.basis, state.learner.actor)
@@ -124,7 +129,10 @@ class Learning:
         return leg, state._replace(flight=leg.after, seconds=state.seconds + leg.seconds, contacts=contacts)
 
     def improve(self, state: LearningState, leg: Leg) -> LearningState:
-        """Evaluate the policy with the experience of a leg and improve it, `updates` times."""
+        """Evaluate the policy with the experience of a leg and improve it, `updates` times.
+
+        The same experience serves any policy, because learning is off-policy.
+        """
         return state._replace(learner=self.iteration.update(state.learner, leg.batch))
 
     def is_over(self, state: LearningState) -> bool:
