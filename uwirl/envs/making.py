@@ -53,8 +53,10 @@ def chosen_task(task: RelayTask | None, options: dict[str, Any]) -> RelayTask:
 
 
 def check_render_mode(mode: str | None) -> None:
-    """Raises:
-    ValueError: it is neither None nor one of RENDER_MODES.
+    """Check a render mode.
+
+    Raises:
+        ValueError: it is neither None nor one of RENDER_MODES.
     """
     if mode is not None and mode not in RENDER_MODES:
         raise ValueError(f"render_mode: expected None or {', '.join(RENDER_MODES)}, got {mode!r}")

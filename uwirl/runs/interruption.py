@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM: the leg in flight is finished and saved; a second signal kills at once."""
+"""SIGINT and SIGTERM: the present leg is finished and saved; a second signal kills at once."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from pathlib import Path
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-# Errors in metrics.json that begin so are no failures of the run.
+# Beginning of the error in metrics.json after a signal.
 INTERRUPTED = "interrupted by "
 
 
 class Interrupted(BaseException):
-    """A signal asked the run to end. No Exception, lest somebody's handler for errors swallows it.
+    """A signal ended the run. Not an Exception, so that handlers of errors do not catch it.
 
     Args:
-        number: of the signal.
+        number: number of the signal.
     """
 
     def __init__(self, number: int):
@@ -27,7 +27,7 @@ class Interrupted(BaseException):
         self.exit_code = 128 + number
 
     def told(self, last: Path) -> str:
-        """What to say of it, given where the run's last checkpoint would be."""
+        """The message for the user, given the path at which a checkpoint may exist."""
         if last.is_file():
             plain = re.fullmatch(r"[\w/.+-]*", str(last))
             return f"{self}; " + (f"resume={last}" if plain else f"\"resume='{last}'\"") + " continues"
@@ -35,14 +35,14 @@ class Interrupted(BaseException):
 
 
 class Interruption:
-    """Signals, while in its context: raised as Interrupted at once, or where `check` is called in `postponed`."""
+    """Context that raises signals as Interrupted: at once, or within `postponed` when `check` is called."""
 
     def __init__(self) -> None:
         self.number: int | None = None
         self._wait = False
 
     def __enter__(self) -> Interruption:
-        # Python takes signals in its main thread only; elsewhere they are somebody else's.
+        # Python handles signals in the main thread only.
         here = threading.current_thread() is threading.main_thread()
         self._before = {number: signal.signal(number, self._take) for number in SIGNALS} if here else {}
         return self
@@ -60,7 +60,7 @@ class Interruption:
 
     @contextmanager
     def postponed(self) -> Iterator[None]:
-        """Signals wait for `check`, or for the end of this context."""
+        """Context in which signals are raised by `check`, or at its end."""
         self._wait = True
         try:
             yield
@@ -69,6 +69,10 @@ class Interruption:
         self.check()
 
     def check(self) -> None:
-        """Raises Interrupted if a signal has come."""
+        """Raise the signal that was received, if any.
+
+        Raises:
+            Interrupted: a signal was received.
+        """
         if self.number is not None:
             raise Interrupted(self.number)

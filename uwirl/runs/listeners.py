@@ -1,4 +1,4 @@
-"""Who listens to Algorithm 1 while it runs: the log, a bar, TensorBoard; and `uwirl.runs.saving.Checkpoints`."""
+"""Listeners to the events of Algorithm 1: log, progress bar and TensorBoard; checkpoints are in `uwirl.runs.saving`."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ Listener = Callable[[Event], None]
 
 
 class Narrator:
-    """What is estimated and learned, in the log; a bar on a terminal, elsewhere a line every minute of vehicle time.
+    """Logs estimate and learning; shows a bar on a terminal, elsewhere logs a line every minute of vehicle time.
 
     Args:
         total_s: vehicle time at which learning ends at the latest, s.
-        bar: whether to show a bar at all.
+        bar: whether to show a bar on a terminal.
     """
 
     def __init__(self, total_s: float, bar: bool):
         # Without any stderr Python has None.
         shown = bar and sys.stderr is not None and sys.stderr.isatty()
-        # tqdm's own lock is a semaphore of the system, which a killed run would leave behind.
+        # tqdm's own lock is a system semaphore, which a killed run would leave behind.
         tqdm.set_lock(threading.RLock())
         form = "  learning {percentage:3.0f}%|{bar:30}| {postfix}, {remaining} left"
         self.bar = tqdm(total=total_s, disable=not shown, leave=False, bar_format=form)
         self.next_line_s = 60.0
 
     def __call__(self, event: Event) -> None:
-        """Tell of an event."""
+        """Log an event."""
         match event:
             case Estimated(_, estimate):
                 for line in str(estimate).splitlines():
@@ -65,12 +65,12 @@ class Narrator:
 
 
 class Board:
-    """TensorBoard: the estimate, and weights at each iteration.
+    """Writes the estimate and the weights of each iteration to TensorBoard.
 
     Args:
-        board: writes.
-        before: records of a run that is continued, which it tells first in a folder that is new.
-        every: legs after which a checkpoint is saved, beside which nothing may be missing if the run is killed.
+        board: the writer.
+        before: records of a continued run; written first if the folder is new.
+        every: number of legs between checkpoints; the board is flushed with each, so that a killed run lacks nothing.
     """
 
     def __init__(self, board: TensorBoard, before: list[IterationRecord], every: int):

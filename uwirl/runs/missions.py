@@ -1,4 +1,4 @@
-"""What was found, flown on the true channel: the scenario's own mission, or one in each of many random layouts."""
+"""Missions on the true channel: the one of the scenario, or one in each of many random layouts."""
 
 from __future__ import annotations
 
@@ -25,43 +25,39 @@ from uwirl.world.relay import Relay
 
 log = logging.getLogger("uwirl")
 
-# Worlds flown together: their trajectories take about 100 MB.
+# Number of worlds flown as one batch; their trajectories take about 100 MB.
 BATCH = 250
 
 
 class MissionFlight:
-    """The scenario's own mission.
+    """Flies the mission of the scenario and reports it.
 
     Args:
-        config: of the run.
-        env: its worlds.
-        folder: of the run.
+        config: configuration of the run.
+        env: the world of the mission.
+        folder: folder of the run.
     """
 
     def __init__(self, config: Config, env: Relay, folder: Path):
         self.config, self.env, self.folder = config, env, folder
         self.evaluator = build.make_evaluator(config, env)
 
-    def fly(self, agent: Agent) -> Evaluation:
-        """Of the scenario's start."""
-        return self.evaluator.fly(agent)
-
     def iterates(
         self, learning: Learning, state: LearningState, records: Sequence[IterationRecord]
     ) -> tuple[Evaluation, list[float]]:
-        """The start policy's mission, and J of every iterate."""
-        start = self.fly(learning.agent(state.start, state.trim))
+        """The mission of the start policy, and J of every iterate."""
+        start = self.evaluator.fly(learning.agent(state.start, state.trim))
         weights = torch.stack([record.actor[: self.env.scenario.vehicles] for record in records])
         costs = self.evaluator.cost_of_weights(learning, weights, state.trim, self.env.scenario.start[None])
         return start, costs[:, 0].tolist()
 
     def baseline(self, estimate: ChannelEstimate) -> dict[str, Evaluation]:
-        """The mission of the planner to compare with, by its name."""
+        """The mission of the baseline planner, by its name."""
         planner = build.make_planner(self.config, self.config.baseline, self.env)
-        return {self.config.baseline.name: self.fly(planner.fit(self.env, estimate))}
+        return {self.config.baseline.name: self.evaluator.fly(planner.fit(self.env, estimate))}
 
     def settled(self, evaluation: Evaluation) -> bool:
-        """epsilon_4: whether 1/C no longer changes over a window at the end of the mission."""
+        """Whether 1/C changes by less than epsilon_4 over the last window of the mission."""
         planner = self.config.planner
         assert isinstance(planner, IrlConfig)
         inverse = 1.0 / evaluation.chain_capacity[:, 0]
@@ -76,7 +72,18 @@ class MissionFlight:
         records: Sequence[IterationRecord] = (),
         basis: MotionBasis | None = None,
     ) -> dict[str, Any]:
-        """Trajectory, figures and table of missions of which the last counts; returns entries of metrics.json."""
+        """Write trajectory and figures of a mission, and log a table of several.
+
+        Args:
+            flown: evaluations by the name of their planner; the last one is the mission of the run.
+            stage_1: readings and channel estimate.
+            board: None for none.
+            records: the policy iterations, for the figure.
+            basis: the basis of their weights, for the figure.
+
+        Returns:
+            Entries of metrics.json.
+        """
         evaluation = list(flown.values())[-1]
         trajectory, targets = evaluation.trajectory, self.evaluator.mission.targets
         messages = shadowing.messages(self.env, trajectory)
@@ -100,12 +107,15 @@ class MissionFlight:
 
 
 def campaign(config: Config, agent_in: Callable[[Relay], Agent], folder: Path) -> dict[str, Any]:
-    """Fly every layout of `scenario.layouts`, write layouts.npz and the figure; returns entries of metrics.json.
+    """Fly every layout of `scenario.layouts`; write layouts.npz and the figure.
 
     Args:
-        config: with `scenario.layouts`.
-        agent_in: the agent for some of the worlds.
-        folder: of the run.
+        config: configuration with `scenario.layouts`.
+        agent_in: returns the agent for given worlds.
+        folder: folder of the run.
+
+    Returns:
+        Entries of metrics.json.
     """
     worlds, layouts = build.make_layouts(config)
     shown: list[tuple[Relay, Evaluation]] = []

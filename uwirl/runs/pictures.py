@@ -1,6 +1,6 @@
-"""Figures of a run, where matplotlib is installed and `logging` asks for them.
+"""Figures of a run, if matplotlib is installed and `logging` asks for them.
 
-Who draws imports the figure's module only where one is wanted, because it needs matplotlib.
+Modules that draw need matplotlib, so they are imported only if a figure is wanted.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ log = logging.getLogger("uwirl")
 
 
 def wanted(settings: LoggingConfig) -> bool:
-    """Whether there are figures; says so where they are asked for but cannot be drawn."""
+    """Whether to draw figures; logs a message if they are asked for but matplotlib is missing."""
     if not settings.figures:
         return False
     if importlib.util.find_spec("matplotlib") is None:
@@ -29,7 +29,7 @@ def wanted(settings: LoggingConfig) -> bool:
 
 
 def save(figure: Figure, folder: Path, name: str) -> Path:
-    """figures/NAME.png below the folder of a run, whose path is returned."""
+    """Save figures/NAME.png in the folder of a run; returns its path."""
     from uwirl.study import figures
 
     path = folder / "figures" / f"{name}.png"

@@ -1,4 +1,4 @@
-"""What metrics.json says of every run whatever becomes of it: the time it took, and how it ended."""
+"""The entries of metrics.json that every run has, however it ends: its duration and its outcome."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from uwirl.world.trajectory import DivergedError
 
 log = logging.getLogger("uwirl")
 
-# What a run may end in without being a bug: its message goes into metrics.json.
+# Errors that may end a run without being a bug; their message goes into metrics.json.
 FAILURES = (
     CheckpointError,
-    ConfigError,  # an object of the user's own lacks something
+    ConfigError,  # an object of a custom class lacks something
     DivergedError,
     InadmissiblePolicyError,
     InsufficientDataError,
@@ -46,14 +46,14 @@ def recorded(
     """Do the work of a run and write metrics.json.
 
     Args:
-        work: puts its results into the metrics that it is given.
-        experiment: its name.
-        seed: None of a run that draws nothing.
-        folder: of the run.
+        work: does the work; adds results to the given metrics.
+        experiment: name of the experiment.
+        seed: None for a run without random numbers.
+        folder: folder of the run.
 
     Returns:
-        What metrics.json holds; `status` is "failed", with `error`, after one of FAILURES. Anything else that is raised
-        is written there too, and raised on.
+        Content of metrics.json; `status` is "failed", with `error`, after one of FAILURES. Any other exception is
+        written there, too, and raised again.
     """
     started = time.perf_counter()
     metrics = _failed(experiment)
@@ -83,13 +83,12 @@ def recorded(
 def write_refusal(
     folder: Path, experiment: str, overrides: list[str], config: Config | EstimateConfig | None, error: BaseException
 ) -> dict[str, Any]:
-    """What a job of a multirun leaves in its existing folder if its configuration cannot run: the others go on.
+    """Write the folder of a job of a multirun whose configuration cannot run, so that the others continue.
 
-    Where an earlier run has left results, nothing is written: what stands in the way now, such as a module that is
-    not found, need not for ever.
+    A folder with results of an earlier run is left as it is: the obstacle, such as a missing module, may be temporary.
 
     Returns:
-        What metrics.json holds, with status failed; config.yaml stands beside it if there is a configuration.
+        Content of metrics.json, with status failed; config.yaml is written too if there is a configuration.
     """
     metrics = _failed(experiment) | {"error": _sentence(error), "overrides": effective(overrides), "wall_time_s": 0.0}
     if config is not None:

@@ -1,6 +1,6 @@
-"""What `uwirl` and `uwirl-evaluate` do in their run folders: a mission on the true channel.
+"""Runs of `uwirl` and `uwirl-evaluate`: a mission on the true channel, written to a run folder.
 
-They differ in where its agent comes from: Algorithm 1 with its listeners, or a checkpoint.
+The agent comes from Algorithm 1, or from a checkpoint.
 """
 
 from __future__ import annotations
@@ -37,14 +37,13 @@ def run(config: Config, experiment: str, folder: Path, overrides: Sequence[str] 
     """Run one experiment and write its folder.
 
     Args:
-        config: validated.
-        experiment: its name.
-        folder: existing, where everything is written.
-        overrides: the command line that composes the settings, by which those of a sweep differ.
+        config: a validated configuration.
+        experiment: name of the experiment.
+        folder: an existing folder for everything that is written.
+        overrides: overrides on the command line; they tell the runs of a sweep apart.
 
     Returns:
-        What metrics.json holds; `status` is "failed", with `error`, after one of FAILURES. Anything else that is raised
-        is written there too, and raised on.
+        Content of metrics.json, see `uwirl.runs.recorded`.
     """
     torch.set_num_threads(config.threads)
 
@@ -81,7 +80,7 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
         return metrics | campaign(config, planned.agent_in, folder)
 
     flight = MissionFlight(config, env, folder)
-    flown = {config.planner.name: flight.fly(planned.agent_in(env))}
+    flown = {config.planner.name: flight.evaluator.fly(planned.agent_in(env))}
     if planned.learned is None:
         return metrics | flight.report(flown, estimated, board)
     learning, state = planned.learned
@@ -99,7 +98,7 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
 def _heard(
     events: Iterator[Event], listeners: Sequence[Listener], interruption: Interruption
 ) -> tuple[Estimated, Planned]:
-    """Let listeners hear all events; returns how both stages ended."""
+    """Pass all events to the listeners; returns the ends of both stages."""
     ends: dict[type, Any] = {}
 
     def hear(event: Event) -> None:
@@ -108,7 +107,7 @@ def _heard(
             listen(event)
 
     hear(next(events))
-    # A leg that is cut short teaches nothing, and would not be flown again the same from where it was cut.
+    # A leg that is cut short cannot be used, nor be continued identically.
     with interruption.postponed():
         for event in events:
             hear(event)
@@ -119,13 +118,13 @@ def evaluate(config: Config, experiment: str, folder: Path, path: Path) -> dict[
     """Fly a checkpoint's policy and write the run folder.
 
     Args:
-        config: validated; of the scenario to fly.
-        experiment: its name.
-        folder: existing, where everything is written.
-        path: of the checkpoint.
+        config: a validated configuration, with the scenario to fly.
+        experiment: name of the experiment.
+        folder: an existing folder for everything that is written.
+        path: path of the checkpoint.
 
     Returns:
-        What metrics.json holds: the entries of a run, but for those of learning, and `checkpoint`.
+        Content of metrics.json: the entries of a run without those of learning, and `checkpoint`.
     """
     torch.set_num_threads(config.threads)
 
@@ -152,5 +151,5 @@ def _evaluated(config: Config, folder: Path, path: Path, content: dict[str, Any]
     if config.scenario.layouts is not None:
         return metrics | campaign(config, agent_in, folder)
     flight = MissionFlight(config, env, folder)
-    flown = {**flight.baseline(estimate), config.planner.name: flight.fly(agent_in(env))}
+    flown = {**flight.baseline(estimate), config.planner.name: flight.evaluator.fly(agent_in(env))}
     return metrics | flight.report(flown, Estimated(readings_of_each_vehicle(env), estimate))

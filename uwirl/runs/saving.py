@@ -1,4 +1,4 @@
-"""A run's checkpoints: what it continues or starts from, and what it leaves behind."""
+"""Checkpoints of a run: those that it starts or continues from, and those that it saves."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from uwirl.world.relay import Relay
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a run starts from: from nothing, from another run's results, or where a run was interrupted.
+    """The checkpoint with which a run starts, or none.
 
     Attributes:
-        parts: what is taken over: estimate, weights, or everything.
-        path, content: of the checkpoint.
+        parts: parts taken from it: "estimate", "weights", or "everything" if the run is continued.
+        path, content: path and content of the checkpoint.
     """
 
     parts: tuple[str, ...] = ()
@@ -46,7 +46,11 @@ class Origin:
 
     @classmethod
     def of(cls, config: Config) -> Origin:
-        """Raises CheckpointError if the checkpoint cannot be used."""
+        """The origin of a configuration, by `resume` or `init_from`.
+
+        Raises:
+            CheckpointError: the checkpoint cannot be used.
+        """
         place = config.resume or config.init_from
         if place is None:
             return cls()
@@ -55,13 +59,13 @@ class Origin:
         return cls(parts, path, load(path, config.device))
 
     def config_hash(self, config: Config) -> str:
-        """Of a run from here; that of the interrupted one if it is continued."""
+        """Hash of a run from here; the hash of the interrupted run if it is continued."""
         if "everything" in self.parts:
             return self.content["config_hash"]
         return run_folder.config_hash(config, checkpoint.digest(self.path) if self.content else None)
 
     def start(self, env: Relay) -> Start:
-        """What Algorithm 1 takes over."""
+        """The parts, for Algorithm 1."""
 
         def weights(learning: Learning) -> Tensor:
             return take_weights(self.path, self.content, learning.basis, learning.learners)
@@ -76,12 +80,12 @@ class Origin:
         )
 
     def records(self) -> list[IterationRecord]:
-        """Of the learning that is continued, if any is."""
+        """Records of continued learning; empty otherwise."""
         return records_so_far(self.path, self.content) if "everything" in self.parts else []
 
 
 def unfinished(folder: Path, config_hash: str) -> Path | None:
-    """The checkpoint of a run with this hash that was killed or interrupted in a folder; None where none was."""
+    """The checkpoint of a run with this hash that was killed or interrupted in a folder; None if there is none."""
     path = folder / "checkpoints" / "last.pt"
     try:
         ended = not str(run_folder.read_metrics(folder).get("error")).startswith(INTERRUPTED)
@@ -94,15 +98,15 @@ def unfinished(folder: Path, config_hash: str) -> Path | None:
 
 
 class Checkpoints:
-    """Listens to what is learned, and writes checkpoints/last.pt every few legs, at the end, and where a signal comes.
+    """Listener that writes checkpoints/last.pt every few legs, at the end, and after a signal.
 
     Args:
-        folder: of the run.
-        config: its settings.
-        config_hash: of them.
-        overrides: the command line that composes them.
-        records: of a run that is continued.
-        interruption: tells of signals.
+        folder: folder of the run.
+        config: its configuration.
+        config_hash: hash of the configuration.
+        overrides: overrides on the command line.
+        records: records of a continued run.
+        interruption: the signals received.
     """
 
     def __init__(
@@ -125,7 +129,11 @@ class Checkpoints:
         }
 
     def __call__(self, event: Event) -> None:
-        """Keep an event; raises Interrupted if a signal came, with all that was learned saved."""
+        """Handle an event.
+
+        Raises:
+            Interrupted: a signal was received; everything learned has been saved.
+        """
         match event:
             case Estimated(_, estimate):
                 self.estimate = estimate
@@ -139,12 +147,12 @@ class Checkpoints:
                 self.last(learning, state)
 
     def last(self, learning: Learning, state: LearningState, metrics: dict[str, Any] | None = None) -> None:
-        """The newest policy, and all that is needed to go on learning."""
+        """Save the newest policy and the state from which learning can continue."""
         learner = {"learner": learner_of(state), "history": history_of(self.records), "metrics": metrics or {}}
         self._save("last.pt", policy_of(learning, state, self.estimate, self.records[-1]) | learner)
 
     def best(self, learning: Learning, state: LearningState, costs: Sequence[float]) -> None:
-        """The policy of the lowest of its missions' costs J, which learning need not end with."""
+        """Save the policy with the lowest J, which is not always the last one."""
         k = min(range(len(costs)), key=costs.__getitem__)
         policy = policy_of(learning, state, self.estimate, self.records[k])
         self._save("best.pt", policy | {"cost_total": costs[k]})

@@ -1,4 +1,4 @@
-"""What `uwirl-estimate` does with a log: settings in, a run folder out; the science lies in `uwirl.study.survey`."""
+"""Runs of `uwirl-estimate`: a log is estimated and the result written to a run folder."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ log = logging.getLogger("uwirl")
 
 
 class Prepared(NamedTuple):
-    """Validated settings, the log that was read by them, and the map's grid and the place of its sender, [3], m."""
+    """Validated settings, the log read with them, the grid of the map, and the position of its sender, [3], m."""
 
     config: EstimateConfig
     survey: Survey
@@ -53,11 +53,11 @@ def run(prepared: Prepared, folder: Path) -> dict[str, Any]:
     """Estimate, and write the run's folder.
 
     Args:
-        prepared: what was read.
-        folder: existing, where everything is written.
+        prepared: settings and log.
+        folder: an existing folder for everything that is written.
 
     Returns:
-        What metrics.json holds; how a run may end says `recorded`.
+        Content of metrics.json, see `uwirl.runs.recorded`.
     """
 
     def work(metrics: dict[str, Any], interruption: Interruption) -> None:
@@ -72,7 +72,7 @@ def run(prepared: Prepared, folder: Path) -> dict[str, Any]:
 def _estimate(config: EstimateConfig, survey: Survey, grid: Grid, sender: Tensor, folder: Path) -> dict[str, Any]:
     used = survey.used
     _tell(estimate_report.introduction(survey, config.data or ""))
-    # What is not believed has been left out already.
+    # Outliers have been removed already.
     estimate = survey.estimate(build.make_estimator(replace(config.estimator, robust=False)))
     _tell(estimate_report.table(estimate, used.heard))
     diagnostics = survey.diagnose(estimate)
