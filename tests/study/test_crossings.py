@@ -65,7 +65,9 @@ def test_vehicles_pass_each_other_with_the_weights_of_one(crossing):
 def test_vehicles_collide_below_two_radii(crossing):
     separation = torch.tensor([0.59, 0.61, torch.inf])
     yes, zero = torch.ones(3, dtype=torch.bool), torch.zeros(3)
-    outcomes = Outcomes(zero.long(), yes, ~yes, zero.long(), zero + 1.0, separation, zero, ~yes, zero)
+    outcomes = Outcomes(
+        zero.long(), yes, ~yes, zero.long(), zero + 1.0, separation, zero, ~yes, zero, zero.long(), zero
+    )
     metrics = crossing["summary"](outcomes, 0.6)
     assert (metrics["vehicle_collisions"], metrics["min_vehicle_separation_m"]) == (1, pytest.approx(0.59))
 

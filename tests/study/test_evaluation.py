@@ -31,7 +31,9 @@ def evaluation_of(capacity: list[float], optimum: float = 100.0, dt: float = 0.5
     clearance[1] = -0.25
     blocked = torch.zeros(1, 1, dtype=torch.bool)
     end = WorldState.of(VehicleState(components[-1]), n)
-    return Evaluation(Trajectory(components, tau, dt, 0, end), links, optimum, clearance, blocked, cost)
+    saturated = torch.zeros(n, 1, 1, dtype=torch.bool)
+    saturated[0] = True
+    return Evaluation(Trajectory(components, tau, dt, 0, end), links, optimum, clearance, blocked, cost, saturated)
 
 
 @pytest.mark.parametrize(
@@ -58,6 +60,8 @@ def test_metrics():
     assert metrics["collisions"] == 1
     assert metrics["min_obstacle_clearance_m"] == -0.25
     assert metrics["final_position_m"] == [[4.0, 0.0, 0.0]]
+    assert metrics["saturated_share"] == 0.25
+    assert metrics["guard_interventions"] is None
 
 
 def resting(env: Relay) -> Agent:
@@ -110,6 +114,25 @@ def test_a_guard_stands_before_the_thrusters(make_relay):
     assert torch.equal(evaluation.trajectory.tau, torch.full((20, 1, 1, 4), 4.0, dtype=torch.float64))
     other = evaluator.in_worlds(env.select(torch.tensor([0]))).fly(resting(env))
     assert torch.equal(other.trajectory.tau[0, 0, 0], 0.5 * env.vehicle.trim)
+
+
+def test_interventions_of_the_guard_are_counted(make_relay):
+    """Steps at which what reaches the thrusters is not what the agent wanted; their own limits are no intervention."""
+    env = make_relay("experiment=fig6_pair", "scenario.duration_s=1")
+
+    def guard(tau, observation):
+        slack = torch.where(observation.step % 4 == 0, 2.0, 1e-9)[:, None, None]
+        return torch.cat([tau[:, :1] + slack, tau[:, 1:]], 1)
+
+    wanted = Feedback(lambda observation: torch.where(observation.step < 10, 1e4, 1.0)[:, None, None].expand(-1, 2, 4))
+    flown = Evaluator(env, CostWeights(), guard).fly(Feedback(lambda seen: wanted.law(seen).to(seen.eta.dtype)))
+    # Above the limits, 2 N more are none.
+    steps = torch.arange(20)
+    assert torch.equal(flown.intervened[:, 0, 0], (steps % 4 == 0) & (steps >= 10))
+    assert not bool(flown.intervened[:, 0, 1].any())
+    metrics = flown.metrics()
+    assert (metrics["guard_interventions"], metrics["guard_intervention_share"]) == (2, 0.1)
+    assert metrics["saturated_share"] == 0.5
 
 
 def test_a_flight_may_be_judged_again(make_relay):

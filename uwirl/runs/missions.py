@@ -15,11 +15,13 @@ from uwirl.config.schema import Config, IrlConfig
 from uwirl.motion.features import MotionBasis
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
 from uwirl.runs import pictures
+from uwirl.runs.recorded import warn
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study import run_folder, shadowing
 from uwirl.study.campaign import fly
 from uwirl.study.evaluation import Evaluation, table
 from uwirl.study.tensorboard import TensorBoard
+from uwirl.study.warnings import campaign_warnings, flight_warnings
 from uwirl.world.agent import Agent
 from uwirl.world.relay import Relay
 
@@ -71,6 +73,7 @@ class MissionFlight:
         board: TensorBoard | None = None,
         records: Sequence[IterationRecord] = (),
         basis: MotionBasis | None = None,
+        converged: bool | None = None,
     ) -> dict[str, Any]:
         """Write trajectory and figures of a mission, and log a table of several.
 
@@ -80,6 +83,7 @@ class MissionFlight:
             board: None for none.
             records: the policy iterations, for the figure.
             basis: the basis of their weights, for the figure.
+            converged: whether learning converged; None without learning.
 
         Returns:
             Entries of metrics.json.
@@ -100,9 +104,11 @@ class MissionFlight:
             if self.config.logging.animation:
                 animation.save(self.env.scenario, evaluation, picture.with_suffix(".gif"))
                 log.info("animation: %s", picture.with_suffix(".gif"))
-        for line in table(flown):
+        for line in table(flown, converged):
             log.info("%s", line)
         shadowed = shadowing.summary(self.env, trajectory, targets, stage_1.readings, stage_1.estimate)
+        for sentence in flight_warnings(self.env.scenario, evaluation):
+            warn(sentence)
         return evaluation.metrics() | shadowed
 
 
@@ -136,4 +142,6 @@ def campaign(config: Config, agent_in: Callable[[Relay], Agent], folder: Path) -
         from uwirl.study import figures
 
         pictures.save(figures.layouts_figure(*shown[0], layouts.kind), folder, "layouts")
+    for sentence in campaign_warnings(outcomes):
+        warn(sentence)
     return outcomes.metrics()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ from uwirl.world.trajectory import DivergedError
 
 log = logging.getLogger("uwirl")
 
+# Begins the line of a warning on the terminal.
+WARNING = "warning: "
 # Errors that may end a run without being a bug; their message goes into metrics.json.
 FAILURES = (
     CheckpointError,
@@ -46,7 +49,7 @@ def recorded(
     """Do the work of a run and write metrics.json.
 
     Args:
-        work: does the work; adds results to the given metrics.
+        work: does the work; adds results to the given metrics. Warnings that are logged meanwhile go into `warnings`.
         experiment: name of the experiment.
         seed: None for a run without random numbers.
         folder: folder of the run.
@@ -60,7 +63,7 @@ def recorded(
     if seed is not None:
         metrics["seed"] = seed
     try:
-        with Interruption() as interruption:
+        with Interruption() as interruption, _noted(metrics["warnings"]):
             work(metrics, interruption)
         metrics["status"] = "complete"
     except FAILURES as error:
@@ -103,6 +106,28 @@ def write_refusal(
     return metrics
 
 
+def warn(sentence: str) -> None:
+    """Log a warning; `recorded` writes it to metrics.json too."""
+    log.warning("%s%s", WARNING, sentence)
+
+
+@contextmanager
+def _noted(sentences: list[str]) -> Iterator[None]:
+    """Context in which warnings are appended to a list when they are logged."""
+
+    class Notes(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if record.levelno == logging.WARNING:
+                sentences.append(record.getMessage().removeprefix(WARNING))
+
+    notes = Notes()
+    log.addHandler(notes)
+    try:
+        yield
+    finally:
+        log.removeHandler(notes)
+
+
 def _failed(experiment: str) -> dict[str, Any]:
     return {
         "status": "failed",
@@ -110,6 +135,7 @@ def _failed(experiment: str) -> dict[str, Any]:
         "experiment": experiment,
         "config_hash": None,
         "uwirl_version": uwirl.__version__,
+        "warnings": [],
     }
 
 

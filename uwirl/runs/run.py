@@ -23,11 +23,12 @@ from uwirl.motion.learning import Learning
 from uwirl.runs.interruption import Interruption
 from uwirl.runs.listeners import Board, Listener, Narrator
 from uwirl.runs.missions import MissionFlight, campaign
-from uwirl.runs.recorded import recorded
+from uwirl.runs.recorded import recorded, warn
 from uwirl.runs.saving import Checkpoints, Origin
 from uwirl.study import checkpoint, run_folder
 from uwirl.study.learning_file import load, take_estimate, take_trim, take_weights
 from uwirl.study.tensorboard import TensorBoard
+from uwirl.study.warnings import learning_warnings
 from uwirl.world.readings import readings_of_each_vehicle
 
 log = logging.getLogger("uwirl")
@@ -86,8 +87,10 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
     learning, state = planned.learned
     start, costs = flight.iterates(learning, state, records)
     flown = {"start policy": start, **flight.baseline(estimated.estimate), **flown}
-    metrics |= flight.report(flown, estimated, board, records, learning.basis)
-    metrics["converged"] = records[-1].converged and flight.settled(flown[config.planner.name])
+    converged = records[-1].converged and flight.settled(flown[config.planner.name])
+    metrics |= flight.report(flown, estimated, board, records, learning.basis, converged) | {"converged": converged}
+    for sentence in learning_warnings(costs, float(start.cost[0]), metrics["cost_total"]):
+        warn(sentence)
     metrics |= {"cost_total_start_policy": float(start.cost[0]), "cost_per_iteration": costs}
     checkpoints.best(learning, state, costs)
     checkpoints.last(learning, state, metrics)

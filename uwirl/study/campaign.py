@@ -36,6 +36,8 @@ class Outcomes:
         t99: time to 99 % of the best capacity, [N], s; infinite if 99 % were not kept.
         blocked: whether some vehicle found no free route at the end, [N].
         cost: J, [N].
+        interventions: number of control steps at which the guard changed tau, [N].
+        intervention_share: their share of all steps, [N].
     """
 
     kind: Tensor
@@ -47,6 +49,8 @@ class Outcomes:
     t99: Tensor
     blocked: Tensor
     cost: Tensor
+    interventions: Tensor
+    intervention_share: Tensor
 
     @property
     def counted(self) -> Tensor:
@@ -83,6 +87,8 @@ class Outcomes:
             "blocked": int(self.blocked.sum()),
             "blocked_where_infeasible": int(closed.blocked.sum()),
             "blocked_where_feasible": int(counted.blocked.sum()),
+            "guard_interventions": int(self.interventions.sum()),
+            "guard_intervention_share": float(self.intervention_share.mean()),
             "time_to_99_percent_median_s": _finite(float(counted.t99.median())) if n else None,
             "time_to_99_percent_max_s": _finite(float(counted.t99.max())) if n else None,
             "cost_total_median": float(counted.cost.median()) if n else None,
@@ -92,7 +98,7 @@ class Outcomes:
         """Lines of a table with one row per kind."""
         yield (
             f"{'kind':<12} {'worlds':>6} {'feasible':>8} {'reached':>8} {'missed <':>9} {'contacts':>8} {'hit <':>7} "
-            f"{'blocked':>8} {'t99 med':>8} {'max (s)':>8} {'clear (m)':>9} {'J med':>7}"
+            f"{'blocked':>7} {'t99 med':>8} {'max (s)':>7} {'clear (m)':>9} {'guard':>6} {'J med':>7}"
         )
         groups = [(KINDS[k], self.of(self.kind == k)) for k in self._kinds()]
         for name, rows in [*groups, ("all", self)]:
@@ -103,8 +109,9 @@ class Outcomes:
             hit = upper_bound(int((rows.collisions > 0).sum()), len(rows.kind))
             yield (
                 f"{name:<12} {len(rows.kind):>6} {n:>8} {int(counted.reached.sum()):>8} {missed:>9.2%} "
-                f"{int(rows.collisions.sum()):>8} {hit:>7.2%} {int(rows.blocked.sum()):>8} {float(t99.median()):>8.1f} "
-                f"{float(t99.max()):>8.1f} {float(rows.clearance.min()):>9.3f} {float(cost.median()):>7.3f}"
+                f"{int(rows.collisions.sum()):>8} {hit:>7.2%} {int(rows.blocked.sum()):>7} {float(t99.median()):>8.1f} "
+                f"{float(t99.max()):>7.1f} {float(rows.clearance.min()):>9.3f} "
+                f"{float(rows.intervention_share.mean()):>6.1%} {float(cost.median()):>7.3f}"
             )
 
     def _kinds(self) -> list[int]:
@@ -138,6 +145,8 @@ def fly(
         watch(worlds, evaluation)
         t99 = [evaluation.time_to_99_percent(k) for k in range(len(rows))]
         separation = [evaluation.separation(k) for k in range(len(rows))]
+        interventions = evaluation.interventions
+        assert interventions is not None
         parts.append(
             {
                 "collisions": contacts(evaluation.clearance).sum(-1),
@@ -146,6 +155,8 @@ def fly(
                 "t99": torch.tensor([math.inf if t is None else t for t in t99], dtype=torch.float64),
                 "blocked": evaluation.blocked.any(-1),
                 "cost": evaluation.cost,
+                "interventions": interventions,
+                "intervention_share": interventions.double() / len(evaluation.saturated),
             }
         )
     room = env.scenario.vehicle_radius + getattr(evaluator.guard, "margin_m", 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -13,11 +14,15 @@ from uwirl.motion.learning import Learning
 from uwirl.motion.mission import Mission
 from uwirl.motion.safety import Unguarded
 from uwirl.world.agent import Agent, Guard, Guarded
+from uwirl.world.observation import Observation
 from uwirl.world.obstacles import contacts
 from uwirl.world.relay import Relay
 from uwirl.world.trajectory import Trajectory, WorldState
 from uwirl.world.truth import truth_of
 from uwirl.world.vehicle import VehicleState
+
+# Smaller differences of tau, relative to the thruster limits, are rounding, also in float32.
+ROUNDING = 1e-5
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,8 @@ class Evaluation:
         clearance: of each vehicle to the nearest obstacle, [n + 1, B, M], m; infinite in free water.
         blocked: whether the agent found no free route to the vehicle's target at the end, [B, M].
         cost_terms: J of each world by term (link, obstacle, vehicle, control), [B] each.
+        saturated: whether a thruster limit was reached at each step, [n, B, M].
+        intervened: whether the guard changed tau at each step, [n, B, M]; None if this is not known.
     """
 
     trajectory: Trajectory
@@ -39,6 +46,8 @@ class Evaluation:
     clearance: Tensor
     blocked: Tensor
     cost_terms: dict[str, Tensor]
+    saturated: Tensor
+    intervened: Tensor | None = None
 
     @property
     def chain_capacity(self) -> Tensor:
@@ -64,6 +73,11 @@ class Evaluation:
             return None
         return float(torch.linalg.vector_norm(position[:, i] - position[:, j], dim=-1).min())
 
+    @property
+    def interventions(self) -> Tensor | None:
+        """Number of control steps at which the guard changed some vehicle's tau, [B]; None if this is not known."""
+        return None if self.intervened is None else self.intervened.any(-1).sum(0)
+
     def metrics(self, world: int = 0) -> dict[str, float | list | None]:
         """The mission's entries in metrics.json."""
         capacity = self.chain_capacity[:, world]
@@ -72,6 +86,7 @@ class Evaluation:
         eta, nu = self.trajectory.eta[:, world], self.trajectory.nu[:, world]
         travelled = torch.linalg.vector_norm(eta[: arrival + 1, :, :3].diff(dim=0), dim=-1).sum()
         mean_nu = (nu[1:] + nu[:-1]) / 2.0
+        acts = None if self.interventions is None else int(self.interventions[world])
         power = (self.trajectory.tau[:, world] * mean_nu).sum(-1).abs()
         return {
             "capacity_initial_mean_kbps": float(capacity[0]),
@@ -85,6 +100,9 @@ class Evaluation:
             "min_obstacle_clearance_m": float(self.clearance[:, world].min()),
             "min_vehicle_separation_m": self.separation(world),
             "blocked": int(self.blocked[world].sum()),
+            "guard_interventions": acts,
+            "guard_intervention_share": None if acts is None else acts / len(self.saturated),
+            "saturated_share": float(self.saturated[:, world].double().mean()),
             "path_length_m": float(travelled),
             "energy_J": float(power.sum()) * self.trajectory.dt,
             "cost_total": float(self.cost[world]),
@@ -92,17 +110,46 @@ class Evaluation:
         }
 
 
-def table(rows: Mapping[str, Evaluation]) -> Iterator[str]:
-    """Lines of a table of missions, one row a policy, each in its first world."""
-    yield f"{'policy':<14} {'J':>8} {'t99 (s)':>8} {'capacity, start -> end (kbit/s)':>32} {'optimum':>8}"
-    for name, evaluation in rows.items():
-        t99 = evaluation.time_to_99_percent()
-        first, last = (float(evaluation.chain_capacity[k, 0]) for k in (0, -1))
-        flown = f"{first:.3f} -> {last:.3f}"
+def table(rows: Mapping[str, Evaluation], converged: bool | None = None) -> Iterator[str]:
+    """Lines of a table of missions, one row a policy, each in its first world.
+
+    Args:
+        rows: evaluations by the name of their policy.
+        converged: whether learning the last one converged; None if it was not learned.
+    """
+    yield (
+        f"{'policy':<14} {'J':>8} {'t99 (s)':>8} {'capacity (kbit/s)':>19} {'optimum':>8} {'contacts':>8} "
+        f"{'clear (m)':>9} {'blocked':>7} {'guard acts':>14} {'converged':>9}"
+    )
+    for k, (name, evaluation) in enumerate(rows.items(), 1):
+        mission, t99 = evaluation.metrics(), evaluation.time_to_99_percent()
+        first, last = (float(evaluation.chain_capacity[step, 0]) for step in (0, -1))
+        clearance, acts = mission["min_obstacle_clearance_m"], mission["guard_interventions"]
+        clear = "-" if clearance == math.inf else f"{clearance:.2f}"
+        guard = "-" if acts is None else f"{acts} ({mission['guard_intervention_share']:.1%})"
+        learned = "-" if converged is None or k < len(rows) else "yes" if converged else "no"
         yield (
             f"{name:<14} {float(evaluation.cost[0]):>8.3f} {'never' if t99 is None else f'{t99:.2f}':>8} "
-            f"{flown:>32} {evaluation.optimal_capacity:>8.3f}"
+            f"{f'{first:.3f} -> {last:.3f}':>19} {evaluation.optimal_capacity:>8.3f} {mission['collisions']:>8} "
+            f"{clear:>9} {mission['blocked']:>7} {guard:>14} {learned:>9}"
         )
+
+
+class Wanted:
+    """A guard that remembers what the agent wanted during one flight.
+
+    Args:
+        guard: the guard that acts.
+    """
+
+    def __init__(self, guard: Guard):
+        self.guard = guard
+        self.tau: list[Tensor] = []
+
+    def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
+        """What the guard makes of tau."""
+        self.tau.append(tau)
+        return self.guard(tau, observation)
 
 
 class Evaluator:
@@ -125,15 +172,22 @@ class Evaluator:
 
     def fly(self, agent: Agent, start: WorldState | None = None) -> Evaluation:
         """Fly one mission from the scenario's start, or from another state; see `Relay.rollout`."""
-        trajectory = self.env.rollout(Guarded(agent, self.guard), start)
-        return self.judge(trajectory)
+        wanted = Wanted(self.guard)
+        trajectory = self.env.rollout(Guarded(agent, wanted), start)
+        return self.judge(trajectory, torch.stack(wanted.tau))
 
-    def judge(self, trajectory: Trajectory) -> Evaluation:
-        """Evaluate a flown trajectory."""
+    def judge(self, trajectory: Trajectory, wanted: Tensor | None = None) -> Evaluation:
+        """Evaluate a flown trajectory.
+
+        Args:
+            trajectory: B worlds of it.
+            wanted: the agent's tau before the guard, [n, B, M, 4]; None if unknown.
+        """
         scenario, cost, frame = self.env.scenario, self.mission.cost, self.mission.targets.frame
         xi, dt = frame.relative(trajectory.states), trajectory.dt
         position, time = trajectory.states.position, trajectory.time[:, None]
         nowhere = torch.zeros(position.shape[1:3], dtype=torch.bool, device=position.device)
+        vehicle, tau = self.env.vehicle, trajectory.tau
 
         def trapezoid(q: Tensor) -> Tensor:
             return torch.trapezoid(q, dx=dt, dim=0).sum(-1)
@@ -150,8 +204,12 @@ class Evaluator:
                 "obstacle": trapezoid(cost.obstacle(scenario.obstacles, position, time)),
                 "vehicle": trapezoid(cost.yaw(xi)),
                 # Control is constant over each step, so the sum is exact.
-                "control": cost.control(trajectory.tau - self.env.vehicle.trim).sum((0, -1)) * dt,
+                "control": cost.control(tau - vehicle.trim).sum((0, -1)) * dt,
             },
+            saturated=(tau.abs() >= (1.0 - ROUNDING) * vehicle.tau_max).any(-1),
+            intervened=None
+            if wanted is None
+            else ((vehicle.saturate(wanted) - tau).abs() > ROUNDING * vehicle.tau_max).any(-1),
         )
 
     def cost_of_weights(self, learning: Learning, weights: Tensor, trim: Tensor, starts: Tensor) -> Tensor:

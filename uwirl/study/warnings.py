@@ -1,0 +1,96 @@
+"""What went wrong in a run: sentences for the log, and for `warnings` in metrics.json."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import torch
+
+from uwirl.study.campaign import Outcomes
+from uwirl.study.evaluation import Evaluation
+from uwirl.world.obstacles import contacts
+from uwirl.world.scenario import Scenario
+
+# J may rise by this share before a run is said to have ended worse; the best of many iterates is better by chance.
+WORSE_THAN_START, WORSE_THAN_BEST = 1e-3, 0.01
+# From this share of the steps on, thrusters are saturated nearly always.
+NEARLY_ALWAYS = 0.9
+
+
+def flight_warnings(scenario: Scenario, evaluation: Evaluation) -> Iterator[str]:
+    """What went wrong in the mission of the first world."""
+    yield from _hits(scenario, evaluation)
+    yield from _collisions(scenario, evaluation)
+    blocked = evaluation.blocked[0].nonzero()[:, 0].tolist()
+    for i in blocked:
+        yield (
+            f"vehicle {i + 1} is blocked: between the obstacles that it knows, no way to its target is wide enough for "
+            f"the vehicle and the guard's margin"
+        )
+    if evaluation.time_to_99_percent() is None and not blocked:
+        end, best = float(evaluation.chain_capacity[-1, 0]), evaluation.optimal_capacity
+        yield (
+            f"the chain does not keep 99 % of its best capacity: it ends with {end:.3f} of {best:.3f} kbit/s after "
+            f"{scenario.duration:g} s (scenario.duration_s)"
+        )
+    for i, share in enumerate(evaluation.saturated[:, 0].double().mean(0).tolist()):
+        if share >= NEARLY_ALWAYS:
+            yield f"a thruster limit of vehicle {i + 1} is reached in {share:.0%} of the control steps"
+
+
+def _hits(scenario: Scenario, evaluation: Evaluation) -> Iterator[str]:
+    """Contacts with obstacles, one sentence a vehicle."""
+    clearance, trajectory = evaluation.clearance[:, 0], evaluation.trajectory
+    for i, number in enumerate(contacts(clearance).tolist()):
+        if number:
+            first, deepest = int((clearance[:, i] < 0.0).nonzero()[0]), int(clearance[:, i].argmin())
+            time, place = float(trajectory.time[deepest]), trajectory.eta[deepest, 0, i, None, :3]
+            obstacle = int(scenario.obstacles.clearance(place, scenario.vehicle_radius, time).argmin())
+            yield (
+                f"vehicle {i + 1} hit obstacles: {number} contacts, first at {float(trajectory.time[first]):.2f} s, "
+                f"the deepest {-float(clearance[deepest, i]):.2f} m into obstacle {obstacle + 1}, at {time:.2f} s"
+            )
+
+
+def _collisions(scenario: Scenario, evaluation: Evaluation) -> Iterator[str]:
+    """Vehicles closer than two radii, one sentence a pair."""
+    position, time = evaluation.trajectory.eta[:, 0, :, :3], evaluation.trajectory.time
+    for i, j in torch.triu_indices(position.shape[1], position.shape[1], 1).T.tolist():
+        apart = torch.linalg.vector_norm(position[:, i] - position[:, j], dim=-1)
+        nearest = int(apart.argmin())
+        depth = 2.0 * scenario.vehicle_radius - float(apart[nearest])
+        if depth > 0.0:
+            yield f"vehicles {i + 1} and {j + 1} collided: {depth:.2f} m deep at {float(time[nearest]):.2f} s"
+
+
+def learning_warnings(costs: Sequence[float], start: float, end: float) -> Iterator[str]:
+    """Where learning ended badly.
+
+    Args:
+        costs: J of the iterates, as in `cost_per_iteration`.
+        start: J of the start policy.
+        end: J of the policy that was learned.
+    """
+    if not end <= (1.0 + WORSE_THAN_START) * start:
+        yield f"learning ended worse than the start policy: J {end:.3f} instead of {start:.3f}"
+    best = min(range(len(costs)), key=lambda k: (math.isnan(costs[k]), costs[k]))
+    if not end <= (1.0 + WORSE_THAN_BEST) * costs[best]:
+        yield (
+            f"the last iterate is worse than iterate {best + 1}, the best: J {end:.3f} instead of {costs[best]:.3f}; "
+            f"`uwirl-evaluate` flies the best with checkpoint=.../checkpoints/best.pt"
+        )
+
+
+def campaign_warnings(outcomes: Outcomes) -> Iterator[str]:
+    """What went wrong in the worlds of a campaign."""
+    N, hit = len(outcomes.kind), outcomes.collisions > 0
+    if bool(hit.any()):
+        deepest = -float(outcomes.clearance.min())
+        yield f"obstacles were hit in {int(hit.sum())} of {N} worlds, at most {deepest:.2f} m deep"
+    counted = outcomes.of(outcomes.counted)
+    blocked, missed = int(counted.blocked.sum()), int((~counted.reached & ~counted.blocked).sum())
+    if blocked:
+        yield f"vehicles report to be blocked in {blocked} of {len(counted.kind)} worlds that have a free route"
+    if missed:
+        yield f"99 % of the best capacity is not kept in {missed} of {len(counted.kind)} worlds that have a free route"
