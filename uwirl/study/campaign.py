@@ -11,7 +11,7 @@ import torch
 from scipy import special
 from torch import Tensor
 
-from uwirl.study.evaluation import Evaluation, Evaluator
+from uwirl.study.evaluation import Evaluation, Evaluator, finite
 from uwirl.world.agent import Agent
 from uwirl.world.layouts import KINDS, Layouts
 from uwirl.world.obstacles import contacts
@@ -83,14 +83,14 @@ class Outcomes:
             "worlds_with_collision": int((self.collisions > 0).sum()),
             "collision_rate_upper_95": upper_bound(int((self.collisions > 0).sum()), len(self.kind)),
             "min_obstacle_clearance_m": float(self.clearance.min()),
-            "min_vehicle_separation_m": _finite(float(self.separation.min())),
+            "min_vehicle_separation_m": finite(float(self.separation.min())),
             "blocked": int(self.blocked.sum()),
             "blocked_where_infeasible": int(closed.blocked.sum()),
             "blocked_where_feasible": int(counted.blocked.sum()),
             "guard_interventions": int(self.interventions.sum()),
             "guard_intervention_share": float(self.intervention_share.mean()),
-            "time_to_99_percent_median_s": _finite(float(counted.t99.median())) if n else None,
-            "time_to_99_percent_max_s": _finite(float(counted.t99.max())) if n else None,
+            "time_to_99_percent_median_s": finite(float(counted.t99.median())) if n else None,
+            "time_to_99_percent_max_s": finite(float(counted.t99.max())) if n else None,
             "cost_total_median": float(counted.cost.median()) if n else None,
         }
 
@@ -143,16 +143,14 @@ def fly(
         worlds = everywhere.select(rows)
         evaluation = evaluator.in_worlds(worlds).fly(agent_in(worlds))
         watch(worlds, evaluation)
-        t99 = [evaluation.time_to_99_percent(k) for k in range(len(rows))]
-        separation = [evaluation.separation(k) for k in range(len(rows))]
         interventions = evaluation.interventions
         assert interventions is not None
         parts.append(
             {
                 "collisions": contacts(evaluation.clearance).sum(-1),
                 "clearance": evaluation.clearance.amin((0, 2)),
-                "separation": torch.tensor([math.inf if s is None else s for s in separation], dtype=torch.float64),
-                "t99": torch.tensor([math.inf if t is None else t for t in t99], dtype=torch.float64),
+                "separation": evaluation.separation.double(),
+                "t99": evaluation.arrival,
                 "blocked": evaluation.blocked.any(-1),
                 "cost": evaluation.cost,
                 "interventions": interventions,
@@ -176,7 +174,3 @@ def upper_bound(failures: int, trials: int) -> float:
 
 def _share(flags: Tensor) -> float | None:
     return float(flags.double().mean()) if len(flags) else None
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -59,19 +59,25 @@ class Evaluation:
         """Cost J of each world, [B]."""
         return torch.stack(list(self.cost_terms.values())).sum(0)
 
-    def time_to_99_percent(self, world: int = 0) -> float | None:
-        """First time after which the chain's mean capacity stays >= 99 % of its optimum, s; None if it never does."""
-        short = (self.chain_capacity[:, world] < 0.99 * self.optimal_capacity).nonzero()
-        first = int(short[-1]) + 1 if len(short) else 0
-        return None if first >= len(self.link_capacity) else first * self.trajectory.dt
+    @property
+    def arrival(self) -> Tensor:
+        """First time after which the chain's mean capacity stays >= 99 % of its optimum, [B], s; infinite if never."""
+        short = self.chain_capacity < 0.99 * self.optimal_capacity
+        passed = torch.arange(1, len(short) + 1, device=short.device)[:, None] * short
+        first = passed.amax(0)
+        return torch.where(first < len(short), first.double() * self.trajectory.dt, torch.inf)
 
-    def separation(self, world: int = 0) -> float | None:
-        """Smallest distance between the centres of two vehicles, m; None for a single one."""
-        position = self.trajectory.eta[:, world, :, :3]
-        i, j = torch.triu_indices(position.shape[1], position.shape[1], 1)
-        if len(i) == 0:
-            return None
-        return float(torch.linalg.vector_norm(position[:, i] - position[:, j], dim=-1).min())
+    @property
+    def separation(self) -> Tensor:
+        """Smallest distance between the centres of two vehicles, [B], m; infinite for a single one."""
+        position = self.trajectory.eta[..., :3]
+        i, j = torch.triu_indices(position.shape[2], position.shape[2], 1, device=position.device)
+        apart = torch.linalg.vector_norm(position[:, :, i] - position[:, :, j], dim=-1)
+        return torch.nn.functional.pad(apart, (0, 1), value=torch.inf).amin((0, 2))
+
+    def time_to_99_percent(self, world: int = 0) -> float | None:
+        """The arrival of one world, s; None if it never arrives."""
+        return finite(float(self.arrival[world]))
 
     @property
     def interventions(self) -> Tensor | None:
@@ -98,7 +104,7 @@ class Evaluation:
             "final_position_m": eta[-1, :, :3].tolist(),
             "collisions": int(contacts(self.clearance[:, world]).sum()),
             "min_obstacle_clearance_m": float(self.clearance[:, world].min()),
-            "min_vehicle_separation_m": self.separation(world),
+            "min_vehicle_separation_m": finite(float(self.separation[world])),
             "blocked": int(self.blocked[world].sum()),
             "guard_interventions": acts,
             "guard_intervention_share": None if acts is None else acts / len(self.saturated),
@@ -108,6 +114,11 @@ class Evaluation:
             "cost_total": float(self.cost[world]),
             **{f"cost_{term}": float(value[world]) for term, value in self.cost_terms.items()},
         }
+
+
+def finite(value: float) -> float | None:
+    """A number for metrics.json, None if it is infinite or nan."""
+    return value if math.isfinite(value) else None
 
 
 def table(rows: Mapping[str, Evaluation], converged: bool | None = None) -> Iterator[str]:

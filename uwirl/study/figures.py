@@ -49,7 +49,7 @@ def mission_figure(
         basis: gives the names of the weights; None without records.
     """
     trajectory = evaluation.trajectory
-    time = trajectory.time.numpy()
+    time = trajectory.time.numpy(force=True)
     eta, tau = trajectory.eta[:, 0].numpy(force=True), trajectory.tau[:, 0].numpy(force=True)
     figure = plt.figure(figsize=(16.0, 11.5), layout="constrained")
     panels = figure.add_gridspec(3, 3)

@@ -225,7 +225,7 @@ def write_trajectory(folder: Path, evaluation: Evaluation, messages: LinksAtMess
     trajectory = evaluation.trajectory
     write_arrays(
         folder / "trajectory.npz",
-        time_s=trajectory.time.numpy(),
+        time_s=trajectory.time.numpy(force=True),
         eta=trajectory.eta[:, 0].numpy(force=True),
         nu=trajectory.nu[:, 0].numpy(force=True),
         tau=trajectory.tau[:, 0].numpy(force=True),
