@@ -6,11 +6,15 @@ import pytest
 import torch
 
 from uwirl import build
+from uwirl.irl.networks import LinearActor
 from uwirl.irl.policy_iteration import InadmissiblePolicyError, InsufficientDataError
 from uwirl.irl.solvers import BatchLeastSquares, ZRecursiveLeastSquares
+from uwirl.motion.calibration import calibration_hover
 from uwirl.motion.cost import CostWeights
 from uwirl.motion.excitation import Excitation, PoseDraw
+from uwirl.motion.features import LinkFrameBasis
 from uwirl.motion.learning import Learning
+from uwirl.motion.safety import Unguarded
 from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.study.evaluation import Evaluator
 from uwirl.world.random import RandomStreams
@@ -108,10 +112,32 @@ def test_the_weights_of_one_vehicle_lead_any_number(learn, make_mission):
     assert agent.act(agent.init(observation), observation)[0].shape == (1, 3, 4)
 
 
+VERTICAL = ("scenario.source_m=[0,0,-2]", "scenario.destination_m=[0,0,-18]", "scenario.start=[[15,10,-10,0]]")
+
+
 @pytest.mark.parametrize("gain", [0.0, -1.0])
-def test_inadmissible_start_is_refused(learn, gain):
+@pytest.mark.parametrize("link", [(), VERTICAL])
+def test_inadmissible_start_is_refused(learn, gain, link):
     with pytest.raises(InadmissiblePolicyError, match="not admissible"):
-        learn(*SHORT, f"planner.start_gain={gain}")
+        learn(*SHORT, *link, f"planner.start_gain={gain}")
+
+
+@pytest.mark.parametrize("nodes", [(-2, -18), (-1000, -10)])
+@pytest.mark.parametrize("start", [0, -10])
+@pytest.mark.parametrize("weight", [90.0, 112.8, 140.0])
+def test_any_net_weight_is_held_on_a_vertical_link(make_mission, nodes, start, weight):
+    """Off the axis of a link the cost is flat: there an error of the depth by buoyancy would look like a bad policy."""
+    source, destination = (
+        f"scenario.{end}_m=[0,0,{z}]" for end, z in zip(("source", "destination"), nodes, strict=True)
+    )
+    water = f"scenario.depth_m={max(20, -min(nodes))}"
+    mission = make_mission(
+        source, destination, water, f"scenario.start=[[15,10,{start},0]]", f"vehicle.weight_N={weight}"
+    )
+    basis = LinkFrameBasis(mission.cost)
+    actor = LinearActor(basis, basis.start_weights()[None])
+    _, trim = calibration_hover(mission.env, actor, mission.cost, 14.0, Unguarded())
+    assert float(trim[0, 2]) == pytest.approx(weight - 114.8, abs=0.7)
 
 
 def test_too_short_a_flight_is_refused(learn):

@@ -14,7 +14,7 @@ from scipy import optimize
 from torch import Tensor
 
 from uwirl import build
-from uwirl.motion.shadowed_targets import LinkSnr, Search, shadowed_targets
+from uwirl.motion.shadowed_targets import MOST_PLACES, LinkSnr, Search, shadowed_targets
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import Shadowing
@@ -193,3 +193,22 @@ def test_targets_keep_their_dtype(scenario_of, channel: Channel):
     half = shadowed_targets(scenario, spectral(channel, 0), targets.float(), Search(spacing=3.0))
     whole = shadowed_targets(scenario, spectral(channel, 0), targets.float().double(), Search(spacing=3.0))
     assert torch.equal(half, whole.float())
+
+
+@pytest.mark.parametrize("length", [0.5, 100.0, 1e4])
+@pytest.mark.parametrize(("depth", "vehicles"), [(20.0, 1), (20.0, 10), (6e3, 3)])
+def test_no_world_needs_more_places_than_memory_holds(
+    scenario_of, channel: Channel, length: float, depth: float, vehicles: int
+):
+    """And none ends worse than it began."""
+    ends = (torch.tensor([side * length, 0.0, -8.0], dtype=torch.float64) for side in (-0.5, 0.5))
+    scenario = replace(scenario_of(vehicles), depth=depth, **dict(zip(("source", "destination"), ends, strict=True)))
+    targets, seen = mean_targets(scenario, channel), []
+
+    def snr(first: Tensor, second: Tensor) -> Tensor:
+        seen.append(len(first))
+        return mean_snr(channel, first, second)
+
+    places = shadowed_targets(scenario, snr, targets)
+    assert max(seen) < 1.2 * MOST_PLACES / vehicles + 3
+    assert worst(scenario, snr, places) >= worst(scenario, snr, targets)

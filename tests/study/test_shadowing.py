@@ -144,6 +144,16 @@ def test_far_readings_leave_all_the_shadowing(make_relay: MakeRelay):
     assert np.mean(squares) == pytest.approx(9.0, abs=4.0 * np.std(squares, ddof=1) / np.sqrt(12.0))
 
 
+@pytest.mark.parametrize("end", [[0.5, 0.0, 0.0], [0.0, 0.0, 1.0], [100.0, 0.0, -1.0], [6e3, 8e3, 0.0]])
+def test_map_suits_the_length_of_the_link(make_relay: MakeRelay, end: list[float]):
+    """A few nodes across it, and never so many that memory would be short."""
+    destination = [a + b for a, b in zip(end, [0.0, 0.0, -8.0], strict=True)]
+    env = make_relay(ACOUSTIC, "scenario.source_m=[0,0,-8]", f"scenario.destination_m={destination}")
+    sides = [len(axis) for axis in shadowing.map_grid(env, shadowing.map_spacing(env))]
+    assert 4 < min(sides) <= max(sides) <= 257
+    assert 0.0 < shadowing.map_rmse_dB(faded(env, zeta_dB=0.1), Kriging(take_readings(env), truth_of(env).channel))
+
+
 def test_map_error_by_hand(make_relay: MakeRelay):
     """Nodes first and places second, as the field has them."""
     env = make_relay(ACOUSTIC)

@@ -114,7 +114,7 @@ class Learning:
         critic = LinearCritic(self.basis, self.learners).to(device)
         learner = self.iteration.init(start, critic.weight)
         flight = planner.experience.begin(hover)
-        return LearningState(flight, learner, trim, start, planner.calibration_s, contacts_while(self.env, hover))
+        return LearningState(flight, learner, trim, start, float(hover.time[-1]), contacts_while(self.env, hover))
 
     def step(self, state: LearningState) -> LearningState:
         """Fly a leg and learn from it."""

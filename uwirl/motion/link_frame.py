@@ -38,9 +38,10 @@ class LinkFrame(NamedTuple):
         return cls(eta[..., :3] - turned_to_inertial(pose[..., :3], bearing), bearing)
 
     def within(self, depth: float) -> LinkFrame:
-        """The frame with its target kept at least depth / 20 from surface and floor; depth in m."""
+        """The frame with its target kept at least 1 m, or depth / 20, from surface and floor; depth in m."""
         x, y, z = self.target.unbind(-1)
-        return LinkFrame(torch.stack([x, y, z.clamp(-0.95 * depth, -0.05 * depth)], -1), self.bearing)
+        low, high = min(-0.95 * depth, 1.0 - depth), max(-0.05 * depth, -1.0)
+        return LinkFrame(torch.stack([x, y, z.clamp(low, high)], -1), self.bearing)
 
     def relative(self, state: Moving) -> Tensor:
         """xi [..., M, 8] for a state [..., M]."""

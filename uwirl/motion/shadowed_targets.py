@@ -7,6 +7,7 @@ ends at a point that no single vehicle can improve.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -21,6 +22,9 @@ LinkSnr = Callable[[Tensor, Tensor], Tensor]
 ROUNDS = 8
 # This many best places of a grid are searched again on finer grids.
 KEPT = 16
+# Places of the first grids of all vehicles together, and levels of each: over longer hops and in deeper water the
+# grids are coarser, so that neither time nor memory grows with the world.
+MOST_PLACES, MOST_LEVELS = 2**18, 64
 
 
 @dataclass(frozen=True)
@@ -29,7 +33,7 @@ class Search:
 
     Attributes:
         reach: half width of the first grid, as a fraction of the hop.
-        spacing: spacing of the first grid, also vertically, m.
+        spacing: least spacing of the first grid, also vertically, m.
         finest: spacing at which the search ends, m.
     """
 
@@ -59,7 +63,8 @@ def shadowed_targets(scenario: Scenario, snr: LinkSnr, targets: Tensor, search: 
         for i in range(len(places)):
             left, right = torch.cat([source[None], places, destination[None]])[[i, i + 2]]
             worth = _worse_link(snr, left, right, right_first=i == len(places) - 1)
-            places[i] = _best(worth, targets[i].double(), places[i], search, hop, scenario.depth)
+            grid, spacing = _first_grid(search, targets[i].double(), hop, scenario.depth, MOST_PLACES / len(places))
+            places[i] = _best(worth, grid, spacing, targets[i].double(), places[i], search.finest, scenario.depth)
         if len(places) == 1 or torch.equal(places, before):
             break
     return places.to(targets.dtype)
@@ -75,17 +80,30 @@ def _worse_link(snr: LinkSnr, left: Tensor, right: Tensor, right_first: bool) ->
     return worth
 
 
+def _first_grid(search: Search, centre: Tensor, hop: float, depth: float, most: float) -> tuple[Tensor, float]:
+    """Places [Q, 3] around a centre [3], about `most` of them or fewer, and their largest spacing, m."""
+    upwards = max(search.spacing, depth / MOST_LEVELS)
+    side = math.sqrt(most / (depth / upwards + 1.0))
+    across = max(search.spacing, 2.0 * search.reach * hop / side)
+    reach = round(search.reach * hop / across)
+    steps = torch.arange(-reach, reach + 1) * across
+    levels = torch.arange(-depth, 1e-9, upwards) - centre[2].cpu()
+    return torch.cartesian_prod(steps.to(centre), steps.to(centre), levels.to(centre)) + centre, max(across, upwards)
+
+
 def _best(
-    worth: Callable[[Tensor], Tensor], centre: Tensor, present: Tensor, search: Search, hop: float, depth: float
+    worth: Callable[[Tensor], Tensor],
+    grid: Tensor,
+    spacing: float,
+    centre: Tensor,
+    present: Tensor,
+    finest: float,
+    depth: float,
 ) -> Tensor:
-    """The place around a centre [3] with the largest worth; the present place if none is better."""
-    spacing = search.spacing
-    steps = torch.arange(-round(search.reach * hop / spacing), round(search.reach * hop / spacing) + 1) * spacing
-    levels = torch.arange(-depth, 1e-9, spacing) - centre[2].cpu()
-    grid = torch.cartesian_prod(steps.to(centre), steps.to(centre), levels.to(centre)) + centre
+    """The place with the largest worth on a first grid [Q, 3] and finer ones; the present place if none is better."""
     grid = torch.cat([grid, centre[None], present[None]])
     values = worth(grid)
-    while spacing > search.finest:
+    while spacing > finest:
         best = grid[values.topk(min(KEPT, len(grid))).indices]
         spacing /= 3.0
         offsets = spacing * torch.arange(-2, 3).to(centre)

@@ -16,8 +16,9 @@ from uwirl.world.relay import Relay
 from uwirl.world.trajectory import Trajectory
 from uwirl.world.truth import truth_of
 
-# Points of the map on which predictions are compared with the truth.
-MAP_SPACING_M = 2.0
+# Spacing of the map on which predictions are compared with the truth; at most a share of the link, and on long links
+# so much more that the map has this many nodes a side.
+MAP_SPACING_M, MAP_SHARE, MAP_SIDE = 2.0, 0.125, 256
 # Number of messages whose shadowing is evaluated together.
 CHUNK = 1024
 
@@ -61,7 +62,13 @@ def shadowed_capacities(env: Relay, trajectory: Trajectory, targets: ChainTarget
     }
 
 
-def map_grid(env: Relay, spacing_m: float = MAP_SPACING_M) -> tuple[Tensor, Tensor]:
+def map_spacing(env: Relay) -> float:
+    """Spacing of a map around the nodes that suits the length of their link, m."""
+    length = float(torch.linalg.vector_norm(env.scenario.source.double() - env.scenario.destination.double()))
+    return min(max(MAP_SPACING_M, 1.5 * length / MAP_SIDE), MAP_SHARE * length)
+
+
+def map_grid(env: Relay, spacing_m: float) -> tuple[Tensor, Tensor]:
     """Axes x [X] and y [Y] of a horizontal map around the nodes, m; it covers the box of the sensors."""
     ends = torch.stack([env.scenario.source, env.scenario.destination]).double()
     margin = 0.25 * torch.linalg.vector_norm(ends[0] - ends[1])
@@ -74,11 +81,12 @@ def map_rmse_dB(env: Relay, kriging: Kriging) -> float:
     """RMS error of the kriged SNR of links from source and destination to a map at their mean depth, dB."""
     nodes = [env.scenario.source.double(), env.scenario.destination.double()]
     depth = float(0.5 * (nodes[0][2] + nodes[1][2]))
-    places = torch.cartesian_prod(*map_grid(env))
+    spacing = map_spacing(env)
+    places = torch.cartesian_prod(*map_grid(env, spacing))
     places = torch.nn.functional.pad(places, (0, 1), value=depth)
     errors = []
     for node in nodes:
-        away = places[torch.linalg.vector_norm(places - node, dim=-1) > 0.5 * MAP_SPACING_M]
+        away = places[torch.linalg.vector_norm(places - node, dim=-1) > 0.5 * spacing]
         truth = truth_of(env).snr_dB(node.expand_as(away), away)
         errors.append(kriging.mean(node, away) - truth)
     return float(torch.cat(errors).square().mean().sqrt())
