@@ -39,8 +39,13 @@ def huge(path: Path) -> None:
 DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "missing": (lambda path: path.unlink(), "cannot be read (No such file or directory)"),
     "empty": (lambda path: path.write_bytes(b""), "damaged"),
-    "text": (lambda path: sealed(path, b"hello"), "no checkpoint of plain data"),
-    "code": (lambda path: sealed(path, pickle.dumps(Malicious())), "no checkpoint of plain data"),
+    "text": (lambda path: sealed(path, b"hello"), "is none of uwirl's checkpoints"),
+    "code": (lambda path: sealed(path, pickle.dumps(Malicious())), "is none of uwirl's checkpoints"),
+    "alone": (lambda path: path.with_suffix(".pt.sha256").unlink(), "x.pt.sha256 is not beside it; copy it too"),
+    "foreign and alone": (
+        lambda path: (path.with_suffix(".pt.sha256").unlink(), path.write_text("hello")),
+        "is none of uwirl's checkpoints",
+    ),
     "of another": (lambda path: path.with_suffix(".pt.sha256").write_text("0" * 64), "damaged"),
     "endless": (huge, "cannot be read (File too large)"),
     "pipe": (lambda path: (path.unlink(), os.mkfifo(path)), "cannot be read (Not a regular file)"),

@@ -236,6 +236,6 @@ def test_sigterm_ends_it_and_says_so(tmp_path):
     assert result.returncode == 143
     assert "Traceback" not in result.stderr
     written = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    assert written["status"] == "failed"
+    assert written["status"] == "interrupted"
     assert written["error"].startswith("interrupted by SIGTERM with nothing saved to continue from")
     assert not (tmp_path / "run" / "estimate.npz").exists()

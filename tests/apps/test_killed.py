@@ -89,7 +89,7 @@ def test_a_sweep_goes_on_where_a_job_was_killed(tmp_path, whole, call):
     ("metrics", "goes_on"),
     [
         (None, True),
-        ({"status": "failed", "error": "interrupted by SIGTERM; resume=last.pt continues"}, True),
+        ({"status": "interrupted", "error": "interrupted by SIGTERM; resume=last.pt continues"}, True),
         ({"status": "failed", "error": "DivergedError: nu is not finite"}, False),
         ({"status": "complete", "error": None}, False),
     ],
@@ -147,7 +147,7 @@ def test_sigterm_finishes_the_leg_and_says_how_to_go_on(tmp_path, whole):
     assert result.returncode == 143
     last = folder / "checkpoints" / "last.pt"
     written = json.loads((folder / "metrics.json").read_text())
-    assert (written["status"], written["error"]) == ("failed", f"interrupted by SIGTERM; resume={last} continues")
+    assert (written["status"], written["error"]) == ("interrupted", f"interrupted by SIGTERM; resume={last} continues")
     content = checkpoint.load(last)
     assert (content["iteration"], content["learner"]["flight"]["leg"]) == (20, 5)
     go(folder, *SHORT, f"resume={last}")

@@ -9,15 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from uwirl.apps import run
+import uwirl
+from uwirl.apps import collect, estimate, evaluate, run
 from uwirl.apps.flags import read_flags
 from uwirl.apps.program import note_failure
 from uwirl.config.checks import ConfigError
-from uwirl.config.compose import searching
+from uwirl.config.compose import compose, searching
 from uwirl.config.estimate_schema import register
-from uwirl.config.groups import Groups
+from uwirl.config.groups import Groups, parsed, with_path
 from uwirl.config.help import help_text
+from uwirl.config.overrides import PATHS
 from uwirl.config.sweeps import samples
+from uwirl.config.validate import validate
 
 PROGRAMS = {"uwirl": "config", "uwirl-estimate": "estimate"}
 
@@ -41,6 +44,12 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         return err
 
     return told
+
+
+@pytest.fixture(autouse=True)
+def _no_accelerator(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    monkeypatch.setattr("torch.backends.mps.is_available", lambda: False)
 
 
 def test_the_command_says_the_same(tmp_path: Path, refused):
@@ -68,6 +77,12 @@ def test_the_command_says_the_same(tmp_path: Path, refused):
         ("--config-dir nowhere", "--config-dir: "),
         ("--cfg job sed=3", "sed: no such key; did you mean 'seed'?"),
         ("--mutirun seed=1,2", "--mutirun: no such flag; did you mean '--multirun'"),
+        ("-m seed=range(0,0)", "seed: range(0,0) is empty, so that nothing would run"),
+        ("device=cuda", "device: cuda is not there (no CUDA device that this PyTorch can use); choose device=cpu"),
+        ("device=cuda:7 planner=pd", "device: cuda:7 is not there"),
+        ("device=mps dtype=float32", "device: mps is not there (no MPS device that this PyTorch can use)"),
+        ("device=mps", "dtype: device=mps knows no float64; add dtype=float32, or choose device=cpu"),
+        ("device=cuda:x", "device: 'cuda:x' is none of cpu, cuda, cuda:N, mps"),
     ],
 )
 def test_one_message_and_nothing_left(tmp_path: Path, refused, overrides: str, message: str):
@@ -105,6 +120,71 @@ def test_multirun_of_a_bad_log_leaves_metrics(tmp_path: Path):
     written = [json.loads(path.read_text()) for path in tmp_path.rglob("metrics.json")]
     assert [job["status"] for job in written] == ["failed", "failed"]
     assert all(job["error"].startswith("ConfigError: data: log.csv does not exist") for job in written)
+
+
+@pytest.mark.parametrize("program", [run, estimate, evaluate, collect])
+def test_version(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], program):
+    monkeypatch.setattr(sys, "argv", ["uwirl", "--version"])
+    with pytest.raises(SystemExit) as ended:
+        program.main()
+    assert (ended.value.code, capsys.readouterr().out) == (0, f"uwirl {uwirl.__version__}\n")
+
+
+@pytest.mark.parametrize(
+    ("program", "key"), [(run.Run(), "resume"), (estimate.Estimate(), "data"), (evaluate.Evaluate(), "checkpoint")]
+)
+def test_a_path_alone_is_told_its_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program, key: str):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "seed=1").mkdir()
+    for path in ("readings.csv", "seed=1"):
+        with pytest.raises(ConfigError, match=f"^{path}: is no setting; did you mean '{key}={path}'"):
+            program.checked([path])
+
+
+def test_cuda_that_is_there_is_counted(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 1)
+    validate(compose(["device=cuda:0"]))
+    with pytest.raises(ConfigError, match="device: cuda:1 is not there, of 1 from cuda:0; choose one, or device=cpu"):
+        validate(compose(["device=cuda:1"]))
+
+
+NAMES = [
+    "März.csv",
+    "log (2).csv",
+    "it's.csv",
+    "~x",
+    "a\\b",
+    "a\\'b",
+    "end\\",
+    "a b",
+    "a,b=c",
+    "x#;&!^`<>.csv",
+    "1e3",
+    "null",
+]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("key", PATHS)
+def test_any_file_name_is_read_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, key: str):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).touch()
+    word = with_path(f"{key}={name}")
+    assert parsed(word).value() == name
+    assert with_path(word) == word
+
+
+def test_paths_of_ones_home_and_of_a_sweep(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("HOME", "/home/me")
+    assert parsed(with_path("data=~/log.csv")).value() == "/home/me/log.csv"
+    assert parsed(with_path("data='~/a (b).csv'")).value() == "/home/me/a (b).csv"
+    assert list(parsed(with_path("data=~/a.csv,März.csv")).sweep_string_iterator()) == [
+        "'/home/me/a.csv'",
+        "'März.csv'",
+    ]
+    for word in ("data=a.csv,b.csv", "data=null", "data=log.csv", "seed=1", "init_from=${resume}", "data='a b'"):
+        assert with_path(word) == word
 
 
 @pytest.mark.parametrize(("program", "name"), PROGRAMS.items())

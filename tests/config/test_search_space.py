@@ -116,6 +116,12 @@ def test_the_command_line_comes_before_a_space(tmp_path: Path):
     assert space("config", ["channel=paper"], str(tmp_path)) == []
 
 
+def test_a_search_of_the_command_line_alone(tmp_path: Path):
+    """The values that are printed as an example, too."""
+    own(tmp_path, SCHEMA)
+    assert space("config", ["hydra/sweeper=mine", "planner.updates=range(1,8)"], str(tmp_path)) == []
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
@@ -128,6 +134,7 @@ def test_the_command_line_comes_before_a_space(tmp_path: Path):
         ("hydra.sweeper.direction=down", "hydra.sweeper.direction: 'down' is none of minimize, maximize"),
         ("seed=3", "seed: of a search is set for each trial; choose with hydra.sweeper.seeds=[0,1,2]"),
         ("seed=1,2", "seed: of a search is set for each trial"),
+        ("hydra.sweeper.n_trials=2", "hydra.sweeper.params: names nothing to search; add a setting with the values"),
         (
             "+hydra.sweeper.params.planner.updates=range(1,3)",
             "hydra.sweeper.params.planner.updates: is for files; here write the setting itself, planner.updates=VALUES",

@@ -95,11 +95,11 @@ TYPOS = [
     (["~seed"], "seed", "cannot be deleted, every run needs it; set it with seed=VALUE"),
     (["~channel.zeta_dB"], "channel.zeta_dB", "cannot be deleted"),
     # What cannot be read.
-    (["seed"], "seed", "is no setting; write seed=VALUE"),
+    (["seed"], "seed", "is no setting; write KEY=VALUE, as in seed=3"),
     (["seed:3"], "seed:3", "is no setting"),
     (["=3"], "=3", "names no key; write KEY=VALUE"),
     (["scenario.start=[[1,2"], "scenario.start", "cannot be read"),
-    (["device=[cpu"], "device", "quote text that holds any of"),
+    (["device=[cpu"], "device", "quote text with other signs than"),
     (["seed=1,2"], "seed", "is a sweep over several values; add --multirun"),
     (["channel=paper,acoustic_24khz"], "channel", "add --multirun"),
     # An ablation that is undone: which, where, and both values.

@@ -8,6 +8,7 @@ import io
 import sys
 from pathlib import Path
 
+import uwirl
 from uwirl.apps.terminal import BAD_CONFIGURATION, FAILED, tell
 
 
@@ -16,6 +17,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         "uwirl-collect", description="Gather the runs below a folder, also while they run."
     )
+    parser.add_argument("--version", action="version", version=f"uwirl {uwirl.__version__}")
     parser.add_argument("folder", type=Path, help="results.csv, results.md and figures/ are written here")
     folder: Path = parser.parse_args().folder
     if not folder.is_dir():

@@ -17,6 +17,7 @@ class Estimate(Program):
 
     name = "uwirl-estimate"
     primary = "estimate"
+    files = ("data",)
     read: Prepared | None = None
 
     def prepare(self, config: EstimateConfig, sweep: bool) -> Prepared:

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from uwirl.apps.program import Program
-from uwirl.config.overrides import key_of, section_of, unquoted, without
+from uwirl.config.groups import parsed
+from uwirl.config.overrides import key_of, section_of, without
 from uwirl.config.schema import Config, IrlConfig
 from uwirl.config.validate import ConfigError, validate
 
@@ -20,6 +21,7 @@ class Evaluate(Program):
     """Flies a checkpoint's policy."""
 
     name = "uwirl-evaluate"
+    files = ("checkpoint",)
     path = Path()
 
     def overrides(self, flags: argparse.Namespace) -> list[str]:
@@ -31,7 +33,7 @@ class Evaluate(Program):
         # Imported here because they need torch.
         from uwirl.study import checkpoint, learning_file
 
-        path = checkpoint.locate(Path(unquoted(given[0].split("=", 1)[1])))
+        path = checkpoint.locate(Path(str(parsed(given[0]).value())))
         content = learning_file.load(path)
         for key in map(key_of, overrides):
             if key in UNUSED:

@@ -18,12 +18,15 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
+import uwirl
 from uwirl.apps.flags import HYDRAS, read_flags
 from uwirl.apps.terminal import BAD_CONFIGURATION, FAILED, one_message, say, tell
 from uwirl.config import compose
+from uwirl.config.checks import ConfigError
 from uwirl.config.estimate_schema import register
-from uwirl.config.groups import Groups
+from uwirl.config.groups import Groups, with_path
 from uwirl.config.help import help_text
+from uwirl.config.suggestions import did_you_mean
 from uwirl.config.sweeps import check_jobs
 
 # File systems take 255.
@@ -55,10 +58,12 @@ class Program:
     Attributes:
         name: as it is called.
         primary: its primary configuration.
+        files: settings that may be meant by a word that is a path alone.
     """
 
     name: str
     primary = "config"
+    files: Sequence[str] = ()
 
     def overrides(self, flags: argparse.Namespace) -> list[str]:
         """Those that compose the settings; raises ValueError or OSError where the command line says nothing useful."""
@@ -99,7 +104,7 @@ class Program:
         self.launch()
 
     def checked(self, arguments: Sequence[str]) -> list[str]:
-        """Answer --help, and look at what is to be run, before any folder exists.
+        """Answer --help and --version, and look at what is to be run, before any folder exists.
 
         Args:
             arguments: the command line.
@@ -108,10 +113,12 @@ class Program:
             That for Hydra.
 
         Raises:
-            SystemExit: after help.
+            SystemExit: after either.
             ValueError, OSError: what is wrong.
         """
         flags = read_flags(arguments)
+        if flags.version:
+            sys.exit(tell(self.name, f"uwirl {uwirl.__version__}"))
         if flags.help:
             with compose.searching(flags.config_dir) as loader:
                 code = tell(self.name, help_text(self.name, Groups(loader, self.primary)))
@@ -120,6 +127,10 @@ class Program:
             return list(arguments)
         # Flags come before all overrides, or Hydra reads neither.
         words = [word for word in arguments if word not in flags.overrides]
+        for word in flags.overrides:
+            if os.path.lexists(word) or (Path(word).suffix and "=" not in word):
+                raise ConfigError(word, f"is no setting{did_you_mean([f'{key}={word}' for key in self.files])}")
+        flags.overrides = list(map(with_path, flags.overrides))
         flags.overrides = self.overrides(flags)
         if flags.multirun or any(word.startswith("hydra.mode=") for word in flags.overrides):
             check_jobs(self.primary, flags.overrides, flags.config_dir)

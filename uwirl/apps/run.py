@@ -19,6 +19,7 @@ class Run(Program):
     """Runs an experiment, unless it is a sweep's and has been done before."""
 
     name = "uwirl"
+    files = ("resume", "init_from")
 
     def prepare(self, config: Config, sweep: bool) -> tuple[Config, str]:
         """The settings, and the hash of a run with them."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 from hydra.core.config_loader import ConfigLoader
@@ -14,8 +16,11 @@ from omegaconf import DictConfig
 from yaml import YAMLError
 
 from uwirl.config.checks import ConfigError
-from uwirl.config.overrides import section_of
+from uwirl.config.overrides import PATHS, key_of, quoted, section_of
 from uwirl.config.suggestions import did_you_mean, listed, similar
+
+# Instead of a value.
+UNREADABLE = object()
 
 
 def parsed(override: str) -> Override:
@@ -31,10 +36,27 @@ def parsed(override: str) -> Override:
     except HydraException as error:
         key, equal, value = override.partition("=")
         if not equal and not override.startswith("~"):
-            raise ConfigError(override, f"is no setting; write {override.strip() or 'KEY'}=VALUE") from None
+            raise ConfigError(override, "is no setting; write KEY=VALUE, as in seed=3") from None
         reason = str(error).splitlines()[0]
-        rule = "quote text that holds any of , : [ ] { } = or blanks, as in 'key=\"a, b\"'"
+        rule = "quote text with other signs than A-Z a-z 0-9 _ . / - + * @ % $ ? |, as in 'key=\"a, b\"'"
         raise ConfigError(key or override, f"{value or override!r} cannot be read ({reason}); {rule}") from None
+
+
+def with_path(word: str) -> str:
+    """A word whose value is a path, quoted if Hydra would read another than what stands there, ~ for one's home too."""
+    key, equal, text = word.partition("=")
+    if key_of(word) not in PATHS or not equal:
+        return word
+    value: Any = UNREADABLE
+    with suppress(ConfigError):
+        value = parsed(word).value()
+    parts = text.split(",")
+    if value is UNREADABLE and len(parts) > 1 and not os.path.lexists(os.path.expanduser(text)):
+        return f"{key}=" + ",".join(with_path(f"{key}={part}").partition("=")[2] for part in parts)
+    path = os.path.expanduser(value if isinstance(value, str) else text)
+    # Several, a number or null are what they seem unless there is such a file.
+    named = isinstance(value, str) or value is UNREADABLE or os.path.lexists(path)
+    return f"{key}={quoted(path)}" if named and value != path else word
 
 
 def none_of(key: str, option: Any, options: Sequence[str]) -> ConfigError:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 # Sections of the settings in which two runs with the same result may differ.
 FREE = ("logging", "checkpoint", "resume")
+# Settings that are paths, `checkpoint` that of `uwirl-evaluate`.
+PATHS = ("data", "resume", "init_from", "checkpoint", "hydra.run.dir", "hydra.sweep.dir")
 
 
 def key_of(override: str) -> str:
@@ -30,11 +33,7 @@ def without(overrides: Iterable[str], others: Sequence[str]) -> list[str]:
     return [override for override in overrides if key_of(override) not in keys]
 
 
-def quoted(path: Path) -> str:
+def quoted(path: Path | str) -> str:
     """A path as Hydra reads it whatever is in it, like the = and , of a sweep's folders."""
-    return "'" + str(path).replace("\\", "\\\\").replace("'", "\\'") + "'"
-
-
-def unquoted(text: str) -> str:
-    """A path that may have been quoted for Hydra."""
-    return text[1:-1] if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"" else text
+    # It takes a backslash for one, but before a quote and at the end.
+    return "'" + re.sub(r"(\\*)('|$)", lambda end: 2 * end[1] + (end[2] and "\\'"), str(path)) + "'"

@@ -5,6 +5,7 @@ Values stand in conf/, rules between sections in `uwirl.config.validate`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -93,9 +94,10 @@ class Config(Section):
         parts = self.init_from_parts
         if not parts or len(set(parts)) < len(parts):
             yield "init_from_parts", f"needs one or both of {', '.join(InitPart)}, got {parts}"
-        problem = unlike(self.device.split(":")[0], ("cpu", "cuda", "mps"))
-        if problem:
-            yield "device", problem
+        if not re.fullmatch(r"cpu|cuda(:\d+)?|mps", self.device):
+            yield "device", f"{self.device!r} is none of cpu, cuda, cuda:N, mps"
+        if self.device == "mps" and self.dtype == Dtype.float64:
+            yield "dtype", "device=mps knows no float64; add dtype=float32, or choose device=cpu"
 
 
 @dataclass

@@ -56,6 +56,9 @@ def space(name: str, words: Sequence[str], config_dir: str | None = None) -> lis
         SearchConfig(seeds=list(sweeper.seeds), **ruled).check("hydra.sweeper")
         if "seed" in given or "seed" in params:
             raise ConfigError("seed", "of a search is set for each trial; choose with hydra.sweeper.seeds=[0,1,2]")
+    if "n_trials" in sweeper and not params and not any(parsed(word).is_sweep_override() for word in words):
+        example = "add a setting with the values that it may have, such as 'planner.updates=range(1,8)'"
+        raise ConfigError("hydra.sweeper.params", f"names nothing to search; {example}")
     return [word for key, word in params.items() if key not in given]
 
 
@@ -83,15 +86,17 @@ def _alternatives(word: str, loader: ConfigLoader) -> list[str]:
     override.config_loader = loader
     if not override.is_sweep_override():
         return [word]
-    key = word.partition("=")[0]
+    key, _, text = word.partition("=")
     interval = override.value()
     if isinstance(interval, IntervalSweep):
         return [f"{key}={interval.start}", f"{key}={interval.end}"]
     values = [f"{key}={value}" for value in override.sweep_string_iterator()]
+    if not values:
+        raise ConfigError(key, f"{text} is empty, so that nothing would run")
     if override.key_or_group in loader.list_groups(""):
-        return values or [word]
+        return values
     # Whether a number is accepted does not depend on which number.
-    return list({_kind(value): value for value in reversed(values)}.values())[::-1] or [word]
+    return list({_kind(value): value for value in reversed(values)}.values())[::-1]
 
 
 def _kind(word: str) -> object:

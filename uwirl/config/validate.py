@@ -59,6 +59,7 @@ def validate(config: Config) -> None:
         _planner("baseline", config.baseline, config),
         _geodesic_basis(config),
         _start(config),
+        _device(config.device),
     )
     for key, problem in (found for problems in families for found in problems):
         raise ConfigError(key, problem)
@@ -219,3 +220,17 @@ def _start(config: Config) -> Problems:
     weights = InitPart.weights in config.init_from_parts and config.init_from is not None
     if weights and not isinstance(config.planner, IrlConfig):
         yield "init_from_parts", f"planner={config.planner.name} has no weights; choose [estimate]"
+
+
+def _device(name: str) -> Problems:
+    """What is there is known by torch alone."""
+    if name == "cpu":
+        return
+    import torch
+
+    kind, _, number = name.partition(":")
+    there = torch.backends.mps.is_available() if kind == "mps" else torch.cuda.is_available()
+    if not there:
+        yield "device", f"{name} is not there (no {kind.upper()} device that this PyTorch can use); choose device=cpu"
+    elif number and int(number) >= torch.cuda.device_count():
+        yield "device", f"{name} is not there, of {torch.cuda.device_count()} from cuda:0; choose one, or device=cpu"

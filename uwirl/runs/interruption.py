@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import shlex
 import signal
 import threading
 from collections.abc import Iterator
@@ -11,8 +11,6 @@ from pathlib import Path
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-# Beginning of the error in metrics.json after a signal.
-INTERRUPTED = "interrupted by "
 
 
 class Interrupted(BaseException):
@@ -23,14 +21,13 @@ class Interrupted(BaseException):
     """
 
     def __init__(self, number: int):
-        super().__init__(f"{INTERRUPTED}{signal.Signals(number).name}")
+        super().__init__(f"interrupted by {signal.Signals(number).name}")
         self.exit_code = 128 + number
 
     def told(self, last: Path) -> str:
         """The message for the user, given the path at which a checkpoint may exist."""
         if last.is_file():
-            plain = re.fullmatch(r"[\w/.+-]*", str(last))
-            return f"{self}; " + (f"resume={last}" if plain else f"\"resume='{last}'\"") + " continues"
+            return f"{self}; {shlex.quote(f'resume={last}')} continues"
         return f"{self} with nothing saved to continue from; start it again with the command that started it"
 
 

@@ -56,7 +56,7 @@ def recorded(
 
     Returns:
         Content of metrics.json; `status` is "failed", with `error`, after one of FAILURES. Any other exception is
-        written there, too, and raised again.
+        written there, too, and raised again; after a signal, `status` is "interrupted".
     """
     started = time.perf_counter()
     metrics = _failed(experiment)
@@ -70,7 +70,7 @@ def recorded(
         metrics["error"] = _sentence(error)
         log.error("failed: %s", error)
     except Interrupted as error:
-        metrics["error"] = error.told(folder / "checkpoints" / "last.pt")
+        metrics |= {"status": "interrupted", "error": error.told(folder / "checkpoints" / "last.pt")}
         log.error("%s", metrics["error"])
         raise
     except BaseException as error:

@@ -14,7 +14,7 @@ import uwirl
 from uwirl.algorithm import Estimated, Event, Improved, Planned, Start
 from uwirl.config.schema import Config
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
-from uwirl.runs.interruption import INTERRUPTED, Interruption
+from uwirl.runs.interruption import Interruption
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study import checkpoint, run_folder
 from uwirl.study.checkpoint import CheckpointError
@@ -88,7 +88,7 @@ def unfinished(folder: Path, config_hash: str) -> Path | None:
     """The checkpoint of a run with this hash that was killed or interrupted in a folder; None if there is none."""
     path = folder / "checkpoints" / "last.pt"
     try:
-        ended = not str(run_folder.read_metrics(folder).get("error")).startswith(INTERRUPTED)
+        ended = run_folder.read_metrics(folder)["status"] != "interrupted"
     except (OSError, ValueError):
         ended = False
     try:

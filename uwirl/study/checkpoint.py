@@ -82,16 +82,23 @@ def load(path: Path, device: str = "cpu") -> dict[str, Any]:
             break
     else:
         raise CheckpointError(f"{path}: damaged, its sha256 differs from the one beside it")
-    try:
-        with warnings.catch_warnings(action="ignore"):  # warnings about pickles, which are refused anyway
-            content = torch.load(io.BytesIO(data), map_location=device, weights_only=True)
-    except Exception:  # foreign bytes can raise any exception in the unpickler
-        # Torch's own message recommends to load the file without protection.
-        raise CheckpointError(f"{path}: no checkpoint of plain data") from None
+    content = _plain(data)
     version = content.get("format_version") if isinstance(content, dict) else None
+    if version is None:
+        raise CheckpointError(f"{path}: is none of uwirl's checkpoints")
     if version != FORMAT_VERSION:
         raise CheckpointError(f"{path}: format version {version}, this program reads {FORMAT_VERSION}")
-    return content
+    # What a device cannot hold is no fault of the file.
+    return content if device == "cpu" else torch.load(io.BytesIO(data), map_location=device, weights_only=True)
+
+
+def _plain(data: bytes) -> Any:
+    """Plain data as torch saves them; None for any others."""
+    try:
+        with warnings.catch_warnings(action="ignore"):  # warnings about pickles, which are refused anyway
+            return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    except Exception:  # foreign bytes can raise any exception in the unpickler, whose message recommends to trust them
+        return None
 
 
 def _read(path: Path) -> tuple[bytes, list[str]]:
@@ -100,8 +107,13 @@ def _read(path: Path) -> tuple[bytes, list[str]]:
         data = read_whole(path, MOST_BYTES)
     except OSError as error:
         raise CheckpointError(f"{path}: cannot be read ({error.strerror})") from None
+    beside = _digest_file(path)
     try:
-        text = read_whole(_digest_file(path), MOST_DIGEST_BYTES).decode()
+        text = read_whole(beside, MOST_DIGEST_BYTES).decode()
+    except FileNotFoundError:
+        own = isinstance(content := _plain(data), dict) and "format_version" in content
+        problem = f"{beside.name} is not beside it; copy it too" if own else "is none of uwirl's checkpoints"
+        raise CheckpointError(f"{path}: {problem}") from None
     except (OSError, UnicodeDecodeError):
         raise CheckpointError(f"{path}: the sha256 beside it cannot be read") from None
     return data, [line.split()[0] for line in text.splitlines() if line.strip()]

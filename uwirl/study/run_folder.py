@@ -36,6 +36,7 @@ log = logging.getLogger("uwirl")
 # Largest size of metrics.json, which has 3 kB, or a few MB with the costs of many iterations.
 MOST_BYTES = 10**8
 
+STATUSES = ("complete", "failed", "interrupted")
 # Files that a run writes in addition to config.yaml and run.log.
 RESULTS = ("metrics.json", "trajectory.npz", "layouts.npz", "estimate.npz", "checkpoints", "figures", "tb")
 
@@ -87,8 +88,8 @@ def read_metrics(folder: Path) -> dict[str, Any]:
         metrics = json.loads(read_whole(folder / "metrics.json", MOST_BYTES))
     except RecursionError:
         raise ValueError("nested too deeply") from None
-    if not isinstance(metrics, dict) or metrics.get("status") not in ("complete", "failed"):
-        raise ValueError("not the metrics of a run: no object with a status that is complete or failed")
+    if not isinstance(metrics, dict) or metrics.get("status") not in STATUSES:
+        raise ValueError(f"not the metrics of a run: no object with a status of {', '.join(STATUSES)}")
     return metrics
 
 
