@@ -16,7 +16,7 @@ from torch import Tensor
 
 from uwirl import build
 from uwirl.config.compose import compose
-from uwirl.snr.log import OPTIONAL, REQUIRED
+from uwirl.snr.log_file import OPTIONAL, REQUIRED
 from uwirl.world.geometry import distances
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.truth import truth_of

@@ -103,7 +103,7 @@ def test_thinned_log_says_so(estimate, caplog):
     with caplog.at_level("INFO", "uwirl"):
         metrics = estimate(f"data={SAMPLE}", "max_readings=60")
     assert (metrics["readings"], metrics["readings_used"]) == (307, 60)
-    assert "60 readings are used, evenly over the log (max_readings=60)" in caplog.text
+    assert "60 readings are used, evenly over messages and sensors (max_readings=60)" in caplog.text
 
 
 def test_what_looks_wrong_is_told(estimate, tmp_path, caplog):
@@ -173,7 +173,7 @@ def test_strange_logs_are_no_bugs(estimate, write, rows: list[str]):
         ([f"data={SAMPLE}", "estimator.name=irk"], "estimator.name: 'irk' is none of"),
         ([f"data={SAMPLE}", "max_readings=2"], r"max_readings: must lie in \[3, 5,000\], got 2"),
         ([f"data={SAMPLE}", "map.from_m=[1,2]"], "map.from_m: needs 3 finite numbers"),
-        ([f"data={SAMPLE}", "map.z_m=inf"], "map.z_m: must lie within 1,000,000 m"),
+        ([f"data={SAMPLE}", "map.z_m=inf"], "map.z_m: must lie within 100,000,000 m"),
         ([f"data={SAMPLE}", "map.spacing_m=0"], "map.spacing_m: must be greater than 0"),
         ([f"data={SAMPLE}", "map.spacing_m=0.01"], "map.spacing_m: 0.01 m makes a map of .* nodes, too many"),
         ([f"data={SAMPLE}", "map.spacing_m=500"], "map.spacing_m: 500 m leaves fewer than 3 nodes"),

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from uwirl.snr.log import COMPLETE, LogError, read_log
+from uwirl.snr.log import COMPLETE, read_log
+from uwirl.snr.log_file import LogError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 HEADER = "vehicle_x_m,vehicle_y_m,vehicle_z_m,sensor_x_m,sensor_y_m,sensor_z_m,snr_dB"
@@ -71,13 +72,24 @@ def test_silent_messages_and_sensors_count_for_nothing(log):
     assert thinned.readings.snr.tolist() == [[[20.0, 10.5]]]
 
 
-def test_scattered_readings_are_thinned_evenly(log):
-    found = log(*(f"{k},0,-1,{k},{10 + k % 7},-5,{k % 50}" for k in range(200)))
-    thinned = found.thinned(21)
-    assert thinned.heard == 21
-    assert thinned.line.diff().min() >= 9
-    assert thinned.line[[0, -1]].tolist() == [2, 201]
-    assert torch.equal(found.thinned(200).line, found.line)
+@pytest.mark.parametrize("order", ["by message", "by sensor", "reversed", "shuffled"])
+@pytest.mark.parametrize("sensors", [1, 3, 10, 16])
+def test_a_selection_is_even_over_messages_and_sensors(log, sensors: int, order: str):
+    """Each tenth of the log's time and each sensor has its share, with any period in the order of rows."""
+    S, share = 1600 // sensors, 10
+    # The first reading is lost: a complete log would stay whole.
+    rows = [f"{t},0,-1,{10 + k},20,-5,{k if t or k else ''},{t},{k}" for t in range(S) for k in range(sensors)]
+    if order == "by sensor":
+        rows = [rows[t * sensors + k] for k in range(sensors) for t in range(S)]
+    elif order == "shuffled":
+        rows = [rows[k] for k in torch.randperm(len(rows), generator=torch.Generator().manual_seed(1)).tolist()]
+    found = log(*(rows[::-1] if order == "reversed" else rows), header=f"{HEADER},time_s,sensor")
+    thinned = found.thinned(len(rows) // share)
+    assert thinned.heard == len(rows) // share
+    tenth = (thinned.transmitters[thinned.message, 0] * 10 / S).long()
+    for part, count in (tenth.bincount(minlength=10), 10), (thinned.sensor.bincount(minlength=sensors), sensors):
+        assert (part - thinned.heard / count).abs().max() <= 3
+    assert torch.equal(found.thinned(len(rows)).line, found.line[~found.snr.isnan()])
 
 
 def test_complete_logs_stay_whole(log):
@@ -103,7 +115,7 @@ def test_sample_log_is_made_byte_for_byte():
         ("0,0,-1,1_0,0,-5,3", "line 6, column sensor_x_m: '1_0' is no number; write one such as -12.5"),
         ("0,0,-1,10,0,-5,nan", "line 6, column snr_dB: 'nan' is not finite; leave it blank where nothing was heard"),
         ("0,inf,-1,10,0,-5,3", "line 6, column vehicle_y_m: 'inf' is not finite; correct it"),
-        ("0,0,-1,1e7,0,-5,3", "line 6, column sensor_x_m: 1e7 m is beyond 1,000,000 m; check units and columns"),
+        ("0,0,-1,1e9,0,-5,3", "line 6, column sensor_x_m: 1e9 m is beyond 100,000,000 m; check units and columns"),
         ("0,0,-1,10,0,-5,-501", "line 6, column snr_dB: -501 dB is beyond 500 dB; check units and columns"),
         ("0,0,,10,0,-5,3", "line 6, column vehicle_z_m: is blank; only snr_dB may be, where nothing was heard"),
         (
@@ -133,10 +145,21 @@ def test_nothing_in_it(log):
     assert complain(log, header="").startswith("line 1: the header lacks vehicle_x_m")
 
 
-def test_duplicate_names_both_lines(log):
+def test_two_pings_in_one_second_are_two(log):
     rows = [f"{row},3" for row in ROWS]
-    message = complain(log, *rows, rows[1], header=f"{HEADER},time_s")
-    assert message == "line 6: the same message at the same sensor as line 3; keep one of them, or correct time_s"
+    readings = log(*rows, rows[1].replace("10.5", "11.5"), header=f"{HEADER},time_s").readings
+    assert readings.transmitters[:, 0].tolist() == [0.0, 5.0, 0.0]
+    assert readings.snr[0, :, 1].tolist() == [10.5, 8.0, 11.5]
+
+
+def test_copies_are_told(log):
+    rows = [f"{k},0,-1,10,0,-5,{k / 10},{k}" for k in range(12)]
+    timed = f"{HEADER},time_s"
+    assert log(*rows, header=timed).doubts == ()
+    pings = [row.replace(f"{k / 10},{k}", f"{k / 10 + 0.1},{k}") for k, row in enumerate(rows)]
+    assert log(*rows, *pings, header=timed).doubts == ()
+    (doubt,) = log(*rows, *rows, header=timed).doubts
+    assert doubt.startswith("12 rows are copies of another, SNR included; leave one of each")
 
 
 def test_blank_time(log):
@@ -145,12 +168,80 @@ def test_blank_time(log):
     assert message.endswith("leave the column out if times are not known")
 
 
-def test_sensor_at_two_positions(log):
-    message = complain(log, f"{ROWS[0]},a", f"{ROWS[1]},a", header=f"{HEADER},sensor")
-    assert message == (
-        "line 3, column sensor: 'a' is at (30.0, 0.0, -5.0), but on line 2 at (10.0, 0.0, -5.0); "
-        "give a sensor that was moved another name"
+def test_a_receiver_may_drift(log):
+    """The name says which sensor it is, each row where it is; a position far off is told."""
+    rows = [f"0,0,-1,{10 + 0.4 * k},0,-5,{20 - k},{'ship' if k < 9 else 'buoy'}" for k in range(12)]
+    found = log(*rows, header=f"{HEADER},sensor")
+    assert (found.names.count("ship"), found.names.count("buoy"), found.doubts) == (9, 3, ())
+    assert found.readings.receivers[:3, 0].tolist() == pytest.approx([10.0, 10.4, 10.8])
+    # The same receiver does not hear one message twice.
+    assert found.readings.snr.shape == (1, 9, 12)
+    rows[4] = rows[4].replace("11.6", "116")
+    (doubt,) = log(*rows, header=f"{HEADER},sensor").doubts
+    assert doubt.startswith("sensor 'ship' moves 105 m from line 5 to line 6: correct its position, or")
+
+
+def test_a_sensor_faster_than_a_ship_is_told(log):
+    rows = [f"0,0,-1,{10 + 15 * k},0,-5,20,{k},ship" for k in range(4)]
+    timed = f"{HEADER},time_s,sensor"
+    assert log(*rows, header=timed).doubts == ()
+    (doubt,) = log(*rows, "0,0,-1,500,0,-5,20,4,ship", header=timed).doubts
+    assert doubt.startswith("sensor 'ship' moves 445 m from line 5 to line 6")
+
+
+@pytest.mark.parametrize("separator", [";", "\t", ","])
+def test_separators_and_decimal_commas(log, separator: str):
+    """As a spreadsheet of another country writes them: commas in numbers are quoted only if they separate, too."""
+
+    def written(row: str) -> str:
+        cells = [cell.replace(".", ",") for cell in row.split(",")]
+        return separator.join(f'"{cell}"' if separator in cell else cell for cell in cells)
+
+    found, plain = log(*map(written, ROWS), header=HEADER.replace(",", separator)), log(*ROWS)
+    assert torch.equal(found.readings.snr.nan_to_num(-1.0), plain.readings.snr.nan_to_num(-1.0))
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (
+            ["0;0;-1;10;0;-5;20,5", "0;0;-1;10;0;-5;20.5"],
+            ": has both decimal commas (line 2) and decimal points (line 3); write all numbers in one way",
+        ),
+        (["0,0,-1,10,0,-5,20"], "line 2: is separated by commas, the header by semicolons; use one of them"),
+        (["0;0;-1;10;0;-5;1.000,5"], "line 2, column snr_dB: '1.000,5' is no number; write one such as -12.5"),
+        (["0;0;-1;10;0;-5;1,000,5"], "line 2, column snr_dB: '1,000,5' is no number; write one such as -12.5"),
+    ],
+)
+def test_mixed_separators(log, rows: list[str], message: str):
+    assert complain(log, *rows, header=HEADER.replace(",", ";")) == message
+
+
+def test_decimal_commas_between_commas(log):
+    message = complain(log, "0,0,-1,10,0,-5,20,5")
+    assert (
+        message == "line 2: has 8 cells, the header 7; numbers with decimal commas need columns separated by semicolons"
     )
+
+
+def test_nul_bytes_between_rows_are_skipped_and_told(log):
+    found = log(ROWS[0], "\0\0" + ROWS[1], "\0\0\0", ROWS[3] + "\0")
+    assert found.readings.snr[0].nan_to_num(-1.0).tolist() == [[20.0, 10.5], [-1.0, 8.0]]
+    (doubt,) = found.doubts
+    assert doubt.startswith("NUL bytes were skipped on line 3, 4, 5: did the logger lose power?")
+
+
+def test_nul_bytes_within_a_row(log):
+    message = complain(log, ROWS[0], "0,0,-1,10,0,\0\05,5,-1,30,0,-5,8")
+    assert message.startswith("line 3: has NUL bytes within the row, where something was lost")
+
+
+def test_only_differences_of_positions_matter(log):
+    """UTM: the same site 4,000 km north gives the same distances and the same sensors."""
+    local = log(*(f"{k},0.25,-1,{10 + 0.5 * k},{k},-5,{k}" for k in range(9)))
+    grid = log(*(f"{500000 + k},4000000.25,-1,{500010 + 0.5 * k},{4000000 + k},-5,{k}" for k in range(9)))
+    assert grid.names[1] == "(500010.5, 4000001, -5)"
+    torch.testing.assert_close(grid.readings.distance, local.readings.distance, rtol=0.0, atol=1e-8)
 
 
 def test_no_text(tmp_path):

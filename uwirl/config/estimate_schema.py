@@ -16,8 +16,8 @@ from uwirl.config import schema
 from uwirl.config.checks import Section, at_least, numbers, positive, ruled
 from uwirl.config.schema import ChannelConfig, EstimatorConfig, LoggingConfig
 
-# Coordinates beyond are no metres of one site.
-MAX_COORDINATE_M = 1e6
+# Coordinates beyond are no metres of a grid, such as UTM with the zone in front of the easting.
+MAX_COORDINATE_M = 1e8
 # The capacity of 500 dB, per kHz: no reading of a log is beyond.
 MAX_KBPS_PER_KHZ = 166.0
 # Fewer tell nothing; matrices of more take gigabytes and an hour.

@@ -3,58 +3,37 @@
     vehicle_x_m, vehicle_y_m, vehicle_z_m, sensor_x_m, sensor_y_m, sensor_z_m, snr_dB   [time_s, vehicle, sensor]
 
 in any order, one row per reading. A blank snr_dB means that nothing was received. Rows with the same vehicle position
-and time belong to the same message; without times, a repeated pair of ends is a further message from the same place.
+and time belong to the same message; a sensor that stands twice in it has heard a further message from the same place.
+A sensor is known by its name, or by its position if it has none. One with a name may move.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from statistics import median
 
 import torch
 from torch import Tensor
 
+from uwirl.snr.log_file import LogError, LogFile, Place, Row, parse
 from uwirl.world.readings import Readings
 
-VEHICLE = ("vehicle_x_m", "vehicle_y_m", "vehicle_z_m")
-SENSOR = ("sensor_x_m", "sensor_y_m", "sensor_z_m")
-REQUIRED = (*VEHICLE, *SENSOR, "snr_dB")
-OPTIONAL = ("time_s", "vehicle", "sensor")
-# A larger number indicates a mistake in units or columns.
-MAX_COORDINATE_M, MAX_SNR_DB = 1e6, 500.0
 # Largest complete log (each sensor reads each message); other logs need the eigenvectors of all readings.
 COMPLETE = 3000
-
-Place = tuple[float, float, float]
-
-
-class LogError(ValueError):
-    """A log that cannot be used.
-
-    Args:
-        path: path of the file.
-        problem: what is wrong, and what would be correct.
-        line: line of the file, counted from 1.
-        column: name of the column.
-    """
-
-    def __init__(self, path: Path, problem: str, line: int | None = None, column: str | None = None):
-        where = [str(path)] + [f"line {line}"] * (line is not None) + [f"column {column}"] * (column is not None)
-        super().__init__(f"{', '.join(where)}: {problem}")
-
-
-class _Row(NamedTuple):
-    line: int
-    vehicle: Place
-    sensor: Place
-    name: str
-    time: float | None
-    snr: float
+# Steps of a selection over messages and sensors: no combination of them with whole numbers is a whole number, so no
+# period of the rows meets another; multiples of the golden ratio fill an interval the most evenly of all.
+STEPS = (0.5 * (math.sqrt(5.0) - 1.0), math.sqrt(3.0) - 1.0)
+# A named sensor moves with a ship at most, m/s, besides the noise of its positions, m.
+FASTEST_MPS, NOISE_M = 20.0, 10.0
+# This many rows, and this share of the repeated ones, are no coincidence if they have the same SNR.
+COPIES, SHARE = 10, 0.9
+# Lines and sensors that are named in a sentence.
+LISTED = 5
 
 
 @dataclass(frozen=True)
@@ -63,12 +42,13 @@ class Log:
 
     Attributes:
         transmitters: positions of the senders, in the order of time if given, otherwise of the file, [S, 3], m.
-        receivers: positions of the sensors, [N, 3], m.
-        names: names of the sensors, or their positions if they have none, [N].
+        receivers: positions of the sensors, [N, 3], m; several for one that moves.
+        names: names of the sensors, or their positions if they have none, [N]; twice for a sensor that moves.
         message, sensor: numbers for each row, int64 [R].
         snr: [R], dB; nan where nothing was received.
         line: line of the file for each row, int64 [R].
         unused: names of columns that are not used.
+        doubts: sentences on what was read but looks wrong.
     """
 
     transmitters: Tensor
@@ -79,6 +59,7 @@ class Log:
     snr: Tensor
     line: Tensor
     unused: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def heard(self) -> int:
@@ -86,7 +67,7 @@ class Log:
         return int((~self.snr.isnan()).sum())
 
     def thinned(self, most: int) -> Log:
-        """Rows with readings only; if there are more than `most`, an evenly spaced selection.
+        """Rows with readings only; if there are more than `most`, a selection that is even over messages and sensors.
 
         A log in which all sensors read all messages may have more readings, up to COMPLETE.
         """
@@ -94,7 +75,11 @@ class Log:
         S, N = (len(which[rows].unique()) for which in (self.message, self.sensor))
         complete = len(rows) == S * N and max(S, N) <= most and len(rows) <= COMPLETE
         if len(rows) > most and not complete:
-            rows = rows[torch.linspace(0, len(rows) - 1, most, dtype=torch.float64).round().long()]
+            known = {name: k for k, name in enumerate(dict.fromkeys(self.names))}
+            sensor = torch.tensor([known[name] for name in self.names])[self.sensor]
+            # A lattice: any run of messages, and any sensor, has its share of every interval of fractional parts.
+            lattice = STEPS[0] * self.message[rows].double() + STEPS[1] * sensor[rows].double()
+            rows = rows[lattice.frac().argsort(stable=True)[:most].sort().values]
         messages, message = self.message[rows].unique(return_inverse=True)
         sensors, sensor = self.sensor[rows].unique(return_inverse=True)
         return replace(
@@ -127,115 +112,73 @@ def read_log(path: Path) -> Log:
         LogError: columns are missing, there is no reading, or a row is invalid.
         OSError: the file cannot be opened.
     """
-    unused, rows = _parse(path)
-    messages = _messages(path, rows)
-    sensors = _sensors(path, rows)
+    file = parse(path)
+    rows = file.rows
     if not any(math.isfinite(row.snr) for row in rows):
         raise LogError(path, "holds no reading: every snr_dB is blank" if rows else "holds no rows below its header")
-    # There is only one message from a place at a time, so a key identifies a message.
-    keys = list(dict.fromkeys(messages))
-    if rows[0].time is not None:
-        keys.sort(key=lambda key: key[1])
+    messages = _messages(rows)
+    keys = sorted(dict.fromkeys(messages), key=lambda key: key[1])
     number = {key: k for k, key in enumerate(keys)}
-    identities = {sensor: k for k, sensor in enumerate(dict.fromkeys(sensors))}
+    places = {place: k for k, place in enumerate(dict.fromkeys((row.name, row.sensor) for row in rows))}
     return Log(
-        transmitters=torch.tensor([place for place, _ in keys], dtype=torch.float64),
-        receivers=torch.tensor([place for _, place in identities], dtype=torch.float64),
-        names=tuple(name or "({:g}, {:g}, {:g})".format(*place) for name, place in identities),
+        transmitters=torch.tensor([place for place, _, _ in keys], dtype=torch.float64),
+        receivers=torch.tensor([place for _, place in places], dtype=torch.float64),
+        names=tuple(name or "({:.12g}, {:.12g}, {:.12g})".format(*place) for name, place in places),
         message=torch.tensor([number[key] for key in messages]),
-        sensor=torch.tensor([identities[sensor] for sensor in sensors]),
+        sensor=torch.tensor([places[row.name, row.sensor] for row in rows]),
         snr=torch.tensor([row.snr for row in rows], dtype=torch.float64),
         line=torch.tensor([row.line for row in rows]),
-        unused=unused,
+        unused=file.unused,
+        doubts=(*_padding(file.padded), *_copies(file), *_jumps(file)),
     )
 
 
-def _messages(path: Path, rows: list[_Row]) -> list[tuple[Place, float]]:
-    """For each row, the sender's position, and the time, or without times the count of this pair of ends."""
-    seen: dict[tuple, int] = {}
-    repeated: Counter[tuple] = Counter()
+def _messages(rows: list[Row]) -> list[tuple[Place, float, int]]:
+    """For each row, the sender's position, the time, and how often the sensor has heard that before."""
+    heard: Counter[tuple] = Counter()
     keys = []
     for row in rows:
-        ends = (row.vehicle, row.name, row.sensor)
-        if row.time is None:
-            repeated[ends] += 1
-            keys.append((row.vehicle, float(repeated[ends])))
-            continue
-        first = seen.setdefault((*ends, row.time), row.line)
-        if first != row.line:
-            problem = f"the same message at the same sensor as line {first}; keep one of them, or correct time_s"
-            raise LogError(path, problem, row.line)
-        keys.append((row.vehicle, row.time))
+        ends = (row.vehicle, row.time, row.name or row.sensor)
+        keys.append((row.vehicle, row.time, heard[ends]))
+        heard[ends] += 1
     return keys
 
 
-def _sensors(path: Path, rows: list[_Row]) -> list[tuple[str, Place]]:
-    """For each row, name and position of its sensor."""
-    places: dict[str, _Row] = {}
-    for row in rows:
-        first = places.setdefault(row.name, row)
-        if row.name and first.sensor != row.sensor:
-            problem = f"{row.name!r} is at {row.sensor}, but on line {first.line} at {first.sensor}"
-            raise LogError(path, f"{problem}; give a sensor that was moved another name", row.line, "sensor")
-    return [(row.name, row.sensor) for row in rows]
+def _padding(lines: list[int]) -> Iterator[str]:
+    if lines:
+        yield f"NUL bytes were skipped on line {_listed(lines)}: did the logger lose power? Look at the rows around"
 
 
-def _parse(path: Path) -> tuple[tuple[str, ...], list[_Row]]:
-    """Columns that are not used, and the rows."""
-    try:
-        # Spreadsheets begin a file with a byte order mark.
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            header = [name.strip() for name in next(reader, [])]
-            _check_header(path, header)
-            rows = list(_rows(path, reader, header))
-    except UnicodeDecodeError as error:
-        raise LogError(path, "is no text in UTF-8; save it as CSV in UTF-8") from error
-    except csv.Error as error:
-        raise LogError(path, f"is no CSV file: {error}", reader.line_num) from error
-    return tuple(name for name in header if name and name not in (*REQUIRED, *OPTIONAL)), rows
+def _copies(file: LogFile) -> Iterator[str]:
+    """Rows with the same time, ends and SNR as another: two pings in one second rarely have the same SNR."""
+    if not file.timed:
+        return
+    repeated = Counter(row._replace(line=0, snr=0.0) for row in file.rows if math.isfinite(row.snr))
+    same = Counter(row._replace(line=0) for row in file.rows if math.isfinite(row.snr))
+    more, copies = (sum(counts.values()) - len(counts) for counts in (repeated, same))
+    if copies >= max(COPIES, SHARE * more):
+        yield (
+            f"{copies:,} rows are copies of another, SNR included; leave one of each, or standard errors are too small"
+        )
 
 
-def _check_header(path: Path, header: list[str]) -> None:
-    missing = [name for name in REQUIRED if name not in header]
-    if missing:
-        problem = f"the header lacks {', '.join(missing)}; it must name {', '.join(REQUIRED)}, separated by commas"
-        raise LogError(path, f"{problem}; it reads: {', '.join(header)[:200] or '(nothing)'}", 1)
-    twice = [name for name, count in Counter(header).items() if name and count > 1]
-    if twice:
-        raise LogError(path, "stands twice in the header", 1, twice[0])
+def _jumps(file: LogFile) -> Iterator[str]:
+    """Named sensors that are moved faster than a ship; without times, much farther than from row to row elsewhere."""
+    sensors: dict[str, list[Row]] = {}
+    for row in sorted(file.rows, key=lambda row: row.time):
+        if row.name:
+            sensors.setdefault(row.name, []).append(row)
+    jumps = []
+    for name, rows in sensors.items():
+        steps = [math.dist(first.sensor, second.sensor) for first, second in pairwise(rows)]
+        usual = FASTEST_MPS * median(steps) if steps and not file.timed else 0.0
+        for (first, second), step in zip(pairwise(rows), steps, strict=True):
+            if step > NOISE_M + usual + FASTEST_MPS * (second.time - first.time):
+                jumps.append(f"{name!r} moves {step:,.0f} m from line {first.line} to line {second.line}")
+                break
+    if jumps:
+        yield f"sensor {_listed(jumps)}: correct its position, or give each sensor a name of its own"
 
 
-def _rows(path: Path, reader: Iterator[list[str]], header: list[str]) -> Iterator[_Row]:
-    for cells in reader:
-        line: int = reader.line_num  # type: ignore[attr-defined]
-        if not any(cell.strip() for cell in cells):
-            continue
-        if len(cells) != len(header):
-            raise LogError(path, f"has {len(cells)} cells, the header {len(header)}", line)
-        values = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
-        x, y, z, p, q, r = (_number(path, line, name, values, MAX_COORDINATE_M, "m") for name in (*VEHICLE, *SENSOR))
-        apart = math.dist((x, y, z), (p, q, r))
-        if apart < 1e-6:
-            raise LogError(path, "the sensor lies on the vehicle, where the SNR is infinite; correct a position", line)
-        snr = _number(path, line, "snr_dB", values, MAX_SNR_DB, "dB") if values["snr_dB"] else math.nan
-        time = _number(path, line, "time_s", values, math.inf, "s") if "time_s" in values else None
-        yield _Row(line, (x, y, z), (p, q, r), values.get("sensor", ""), time, snr)
-
-
-def _number(path: Path, line: int, column: str, values: dict[str, str], most: float, unit: str) -> float:
-    text = values[column]
-    if not text:
-        hint = "; leave the column out if times are not known" if column == "time_s" else ""
-        raise LogError(path, f"is blank; only snr_dB may be, where nothing was heard{hint}", line, column)
-    try:
-        # Python would accept 1_000.
-        value = float(text.replace("_", "?"))
-    except ValueError:
-        raise LogError(path, f"{text!r} is no number; write one such as -12.5", line, column) from None
-    if not math.isfinite(value):
-        right = "leave it blank where nothing was heard" if column == "snr_dB" else "correct it"
-        raise LogError(path, f"{text!r} is not finite; {right}", line, column)
-    if abs(value) > most:
-        raise LogError(path, f"{text} {unit} is beyond {most:,.0f} {unit}; check units and columns", line, column)
-    return value
+def _listed(things: list) -> str:
+    return ", ".join(map(str, things[:LISTED])) + (", ..." if len(things) > LISTED else "")

@@ -37,9 +37,10 @@ def introduction(survey: Survey, name: str) -> Iterator[str]:
     if refused:
         which = ", ".join(map(str, refused[:LISTED])) + (", ..." if len(refused) > LISTED else "")
         yield f"{len(refused):,} readings do not belong and are left out (estimator.robust), on line {which}"
+    yield from survey.whole.doubts
     used = counts["readings_used"]
     if used + len(refused) < counts["readings"]:
-        yield f"{used:,} readings are used, evenly over the log (max_readings={survey.most})"
+        yield f"{used:,} readings are used, evenly over messages and sensors (max_readings={survey.most})"
 
 
 def table(estimate: ChannelEstimate, readings: int) -> Iterator[str]:

@@ -12,7 +12,8 @@ from uwirl.snr.diagnostics import Diagnostics, diagnose
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.estimators import Estimator, maximum_likelihood
 from uwirl.snr.kriging import Kriging
-from uwirl.snr.log import Log, LogError, read_log
+from uwirl.snr.log import Log, read_log
+from uwirl.snr.log_file import LogError
 from uwirl.snr.model import UnidentifiableError, observations
 from uwirl.snr.outliers import reject_outliers
 from uwirl.study.snr_map import Grid, SnrMap, make_grid, make_map
@@ -78,7 +79,7 @@ class Survey:
         """Entries of metrics.json: how much was sent, read and used."""
         return {
             "messages": len(self.whole.transmitters),
-            "sensors": len(self.whole.receivers),
+            "sensors": len(set(self.whole.names)),
             "readings": self.whole.heard,
             "dropouts": len(self.whole.snr) - self.whole.heard,
             "readings_refused": len(self.refused),
