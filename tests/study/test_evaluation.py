@@ -9,8 +9,10 @@ import torch
 
 from uwirl import build
 from uwirl.motion.cost import CostWeights
+from uwirl.snr.estimators import oracle
 from uwirl.study.evaluation import Evaluation, Evaluator
 from uwirl.world.agent import Agent, Feedback
+from uwirl.world.readings import take_readings
 from uwirl.world.relay import Relay
 from uwirl.world.trajectory import Trajectory, WorldState
 from uwirl.world.truth import truth_of
@@ -175,3 +177,20 @@ def test_obstacle_term_of_a_resting_vehicle(make_config, make_relay):
     evaluation = Evaluator(env, build.make_cost(make_config(*overrides).cost)).fly(resting(env))
     assert float(evaluation.cost_terms["obstacle"][0]) == pytest.approx(2.0 * 5.0 * (1 / 3 - 1 / 6) ** 2, rel=1e-9)
     assert evaluation.metrics()["min_obstacle_clearance_m"] == pytest.approx(3.0 - 1.0 - 0.3)
+
+
+def test_agents_side_by_side_fly_what_each_flies_alone(make_config, make_relay):
+    """To the last bit, also with a guard, obstacles and drift, and with agents of different kinds."""
+    overrides = ("experiment=fig5_single", "scenario.duration_s=3", "scenario.start=[[8,9,-12,1]]")
+    config, env = make_config(*overrides), make_relay(*overrides)
+    evaluator = build.make_evaluator(config, env)
+    truth = oracle(take_readings(env), env.budget, truth_of(env).channel)
+    guided = build.make_planner(config, config.baseline, env).fit(env, truth)
+    agents = [(guided, 3), (resting(env), 1), (guided, 40)]
+    flown = evaluator.fly_side_by_side(agents, [1] * 44)
+    alone = evaluator.fly(guided)
+    for evaluation in (*flown[:3], *flown[4:]):
+        assert torch.equal(evaluation.trajectory.components, alone.trajectory.components)
+        assert torch.equal(evaluation.cost, alone.cost)
+        assert torch.equal(evaluation.blocked, alone.blocked)
+    assert torch.equal(flown[3].trajectory.components, evaluator.fly(resting(env)).trajectory.components)

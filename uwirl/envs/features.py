@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from uwirl.motion.link_frame import LinkFrame
-from uwirl.world.geometry import to_body, turned_to_body
+from uwirl.world.geometry import length, to_body, turned_to_body
 from uwirl.world.observation import Observation
 from uwirl.world.scenario import Scenario
 
@@ -110,7 +110,7 @@ class Features:
             theirs, goal = _of_neighbour(place, side), _of_neighbour(target, side)
             offset = theirs - observation.position
             there = torch.arange(M, device=offset.device) + side
-            heard = torch.linalg.vector_norm(offset, dim=-1) <= self.scenario.hearing_range
+            heard = length(offset) <= self.scenario.hearing_range
             heard = heard & (there >= 0) & (there < M)
             ways = [turned_to_body(way, observation.eta[..., 3]) / self.half_span for way in (offset, goal - theirs)]
             rows = [*ways[0].unbind(-1), *ways[1].unbind(-1), torch.ones_like(offset[..., 0])]

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from uwirl.world.geometry import length
 from uwirl.world.layouts import ATTEMPTS, SEPARATION_M, START_CLEARANCE_M
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.scenario import Scenario
@@ -49,6 +50,6 @@ def _roomy(scenario: Scenario, start: Tensor) -> Tensor:
     """Whether all vehicles of a world have room where they start, bool [B]."""
     position = start[..., :3]
     i, j = torch.triu_indices(position.shape[1], position.shape[1], 1, device=start.device)
-    apart = torch.linalg.vector_norm(position[:, i] - position[:, j], dim=-1)
+    apart = length(position[:, i] - position[:, j])
     clear = scenario.clearance(position) >= START_CLEARANCE_M
     return clear.all(-1) & (apart >= SEPARATION_M).all(-1)

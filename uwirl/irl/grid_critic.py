@@ -25,7 +25,7 @@ from uwirl.irl.sweeps import BoxSweeps, SquareSweeps
 
 def _unit(x: Tensor) -> Tensor:
     """x / |x| over the last axis; zero stays zero."""
-    return x / x.norm(dim=-1, keepdim=True).clamp_min(torch.finfo(x.dtype).tiny)
+    return x / _length(x.unbind(-1))[..., None].clamp_min(torch.finfo(x.dtype).tiny)
 
 
 def _interpolate(field: Tensor, p: Tensor, origin: Tensor, spacing: Tensor) -> Tensor:
@@ -124,7 +124,7 @@ class GridMap(NamedTuple):
         """Polylines of descent from p [B, Q, d], [B, Q, K, d]: until all are at their target, or for `max_steps`."""
         points = [self._clamped(p)]
         for _ in range(max_steps):
-            if bool(((self.target[:, None] - points[-1]).norm(dim=-1) <= 1e-3 * step).all()):
+            if bool((_length((self.target[:, None] - points[-1]).unbind(-1)) <= 1e-3 * step).all()):
                 break
             points.append(self._step(points[-1], step, straight_within))
         return torch.stack(points, -2)
@@ -136,7 +136,7 @@ class GridMap(NamedTuple):
     def _step(self, p: Tensor, step: float, straight_within: float) -> Tensor:
         """One step of descent, never beyond the target."""
         ahead = self.target[:, None] - p
-        distance = ahead.norm(dim=-1, keepdim=True)
+        distance = _length(ahead.unbind(-1))[..., None]
         downhill = _interpolate(self.descent, p, self.origin, self.spacing)
         return p + _unit(torch.where(distance < straight_within, ahead, downhill)) * distance.clamp_max(step)
 
@@ -241,4 +241,4 @@ def _around_target(
 
 def _length(components: Sequence[Tensor]) -> Tensor:
     """Euclidean length of a vector given by its components, which broadcast."""
-    return reduce(torch.hypot, components[1:], components[0].abs())
+    return reduce(torch.add, (x.square() for x in components)).sqrt()

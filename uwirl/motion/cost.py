@@ -18,6 +18,7 @@ from torch import Tensor
 
 from uwirl.motion.avoidance import Avoidance, Printed, remark_2, smooth
 from uwirl.world.acoustics import Channel
+from uwirl.world.geometry import length
 from uwirl.world.obstacles import Obstacles
 
 
@@ -77,7 +78,7 @@ class RelayCost:
         self.minimum = self._inverse_square_capacity(neighbours.new_zeros(*neighbours.shape[:-2], 3))
 
     def _inverse_square_capacity(self, error: Tensor) -> Tensor:
-        hop = torch.linalg.vector_norm(error[..., None, :] - self.neighbours, dim=-1).amax(-1)
+        hop = length(error[..., None, :] - self.neighbours).amax(-1)
         return self.weights.beta_1 / self.channel.mean_capacity_kbps(hop).square()
 
     def link(self, xi: Tensor) -> Tensor:

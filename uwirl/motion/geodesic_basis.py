@@ -24,7 +24,7 @@ from uwirl.motion.cost import RelayCost
 from uwirl.motion.features import LinkFrameBasis
 from uwirl.motion.link_frame import LinkFrame
 from uwirl.motion.route_view import LearnedGeodesic, RouteView, WayState
-from uwirl.world.geometry import left_of, to_body
+from uwirl.world.geometry import left_of, length, to_body
 from uwirl.world.relay import Relay
 from uwirl.world.vehicle import VehicleState
 
@@ -81,7 +81,7 @@ class GeodesicBasis:
         """Actor features phi3, ordered by axis, [..., n3]."""
         seen = WayState.of(x)
         u, n, _, across = self._axes(seen)
-        distance = torch.linalg.vector_norm(seen.xi[..., :2], dim=-1)
+        distance = length(seen.xi[..., :2])
         law = self.ways.law
         near = law.near_share(distance)[..., None]
         far = 1.0 - near

@@ -17,7 +17,7 @@ from uwirl.motion.route import MapSettings, Router, link_cost
 from uwirl.motion.route_tracker import Route, RouteTracker
 from uwirl.motion.way_law import WayLaw
 from uwirl.world.agent import Agent
-from uwirl.world.geometry import left_of, to_body
+from uwirl.world.geometry import left_of, length, to_body
 from uwirl.world.observation import Observation
 
 # From a controller for the last metres to an agent that flies the whole distance.
@@ -135,7 +135,7 @@ class GeodesicAgent:
         goal = route.goal.to(position.dtype)
         direction = route.direction(observation).to(position.dtype)
         way = law.keep_right(direction, position, observation.messages.eta[..., :3])
-        distance = torch.linalg.vector_norm(position[..., :2] - goal[..., :2], dim=-1)
+        distance = length(position[..., :2] - goal[..., :2])
         tau = self.near.towards(LinkFrame(goal, self.near.frame.bearing)).control(observation)
         share = law.near_share(distance)[..., None]
         tau = (1.0 - share) * self._along(route, observation, way, distance) + share * tau

@@ -23,6 +23,7 @@ from torch import Tensor
 from uwirl.irl.grid_critic import GridMap, solve_eikonal
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.link_frame import LinkFrame
+from uwirl.world.geometry import length
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.regions import separated
 from uwirl.world.scenario import Scenario
@@ -144,7 +145,8 @@ class Router:
             free[free.clone()] = reachable
             goal[k, :2] = self.plane[torch.where(free, q[k], torch.inf).argmin()] if bool(free.any()) else position[k]
         rest_cost = self._cost_at(row, goal, obstacles)
-        w = ((q - rest_cost[:, None]).clamp_min(0.0) + OFFSET) ** self.settings.exponent
+        # A power by ln and exp, as in `uwirl.world.acoustics`, so that a batch of plans equals its singles.
+        w = torch.exp(self.settings.exponent * torch.log((q - rest_cost[:, None]).clamp_min(0.0) + OFFSET))
         hard = clearance < self.settings.hard_clearance_m
         wall = 5.0 * torch.where(hard, 0.0, w).amax(-1, keepdim=True)
         w = torch.where(hard, wall * (1.0 + 4.0 * (self.settings.hard_clearance_m - clearance)), w)
@@ -192,7 +194,7 @@ class Router:
             return places.new_full(places.shape[:-1], torch.inf), places.new_zeros(places.shape[:-1])
         time: Tensor | float = 0.0
         if start is not None and bool(obstacles.velocity.any()):
-            way = torch.linalg.vector_norm(places - start[:, None], dim=-1)
+            way = length(places - start[:, None])
             time = (way / MEETING_SPEED).clamp_max(MEETING_HORIZON)
         # Places are treated as worlds with one vehicle each.
         each = obstacles.each(lambda field: field[:, None])

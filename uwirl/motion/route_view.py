@@ -17,7 +17,7 @@ from uwirl.motion.mission import Mission
 from uwirl.motion.route import MapSettings, Router
 from uwirl.motion.route_tracker import Route, RouteTracker
 from uwirl.motion.way_law import WayLaw
-from uwirl.world.geometry import to_body, to_inertial
+from uwirl.world.geometry import length, to_body, to_inertial
 from uwirl.world.messages import told_to_all
 from uwirl.world.observation import Observation
 from uwirl.world.relay import Relay
@@ -108,7 +108,7 @@ class RouteAgent:
         tau, seen = linear_control(self.actor, self.trim, x), WayState.of(x)
         along, across = seen.way.unbind(-1)
         way = torch.stack(to_inertial(along, across, self.view.bearing), -1)
-        distance = torch.linalg.vector_norm(seen.xi[..., :2], dim=-1)
+        distance = length(seen.xi[..., :2])
         force, push = self.view.law.pushed(carry.push, observation, route.goal, way, distance, self.dt)
         return torch.cat([tau[..., :2] + force, tau[..., 2:]], -1), RouteCarry(route, push)
 

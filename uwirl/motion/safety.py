@@ -23,7 +23,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwirl.world.geometry import turned_to_body
+from uwirl.world.geometry import length, turned_to_body
 from uwirl.world.observation import Observation
 from uwirl.world.relay import Relay
 
@@ -157,20 +157,20 @@ class EnergyGuard:
         safe = force
         for _ in range(PROJECTIONS):
             away = (safe[..., None, :] - centre) * axes
-            distance = torch.linalg.vector_norm(away, dim=-1)
+            distance = length(away)
             excess, worst = (distance - radius).max(-1, keepdim=True)
             shrink = 1.0 - radius.gather(-1, worst) / distance.gather(-1, worst).clamp_min(1e-9)
             # Along axes that the constraint does not include, `away` is zero and the force is unchanged.
             safe = torch.where(excess > 0.0, safe - shrink * _pick(away, worst), safe)
             safe = torch.maximum(torch.minimum(safe, force_max), -force_max)
-        left = torch.linalg.vector_norm((safe[..., None, :] - centre) * axes, dim=-1) - radius
+        left = length((safe[..., None, :] - centre) * axes) - radius
         violated = left.amax(-1, keepdim=True)
         nearest = h.argmin(-1, keepdim=True)
         held = axes[nearest[..., 0]]
         # Brake to the speed at which h recovers: after braking to rest, a current would press the vehicle in.
         recovery = (-h.gather(-1, nearest)).clamp_min(0.0) / (RECOVERY_STEPS * dt)
         error = _pick(nu, nearest) - recovery * _pick(n, nearest)
-        speed = torch.linalg.vector_norm(error, dim=-1, keepdim=True)
+        speed = length(error)[..., None]
         # At most the force that reaches this speed within the step; more would throw the vehicle back.
         brake = (self.mass_lower_kg * speed / dt).clamp_max(self.brake_force_N)
         braking = torch.where(held > 0.0, -brake * error / speed.clamp_min(1e-9), force)
@@ -182,7 +182,7 @@ def obstacle_neighbours(observation: Observation, vehicle_radius: float) -> Neig
     obstacles, psi = observation.obstacles, observation.eta[..., 3, None]
     # Each vehicle has its own detected obstacles: treat it as a world with one vehicle.
     offset = obstacles.offset(observation.position[..., None, :], observation.time[:, None])[..., 0, :, :]
-    l = torch.linalg.vector_norm(offset, dim=-1)
+    l = length(offset)
     gap = torch.where(obstacles.present, l, torch.inf) - obstacles.radius - vehicle_radius
     n = offset / l[..., None].clamp_min(1e-9)
     relative = observation.nu[..., None, :2] - turned_to_body(obstacles.velocity, psi)
@@ -194,7 +194,7 @@ def vehicle_neighbours(observation: Observation) -> Neighbours:
     """The other vehicles of the same world, with the distance between centres; none is its own neighbour."""
     position = observation.position
     offset = position[..., :, None, :] - observation.messages.eta[..., :3]
-    distance = torch.linalg.vector_norm(offset, dim=-1)
+    distance = length(offset)
     itself = torch.eye(position.shape[-2], dtype=torch.bool, device=position.device)
     n = offset / distance[..., None].clamp_min(1e-9)
     turned = turned_to_body(n, observation.eta[..., 3, None])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from uwirl.world.geometry import to_body, turned_to_inertial, wrapped
+from uwirl.world.geometry import length, to_body, turned_to_inertial, unit, wrapped
 from uwirl.world.vehicle import Moving
 
 
@@ -97,12 +97,12 @@ class WayLaw:
             others: positions of the others as known to each vehicle, [..., M, M, 3], m.
         """
         offset = others - position[..., :, None, :]
-        close = ((self.keep_right_m - torch.linalg.vector_norm(offset, dim=-1)) / self.keep_right_m).clamp_min(0.0)
-        towards = torch.nn.functional.normalize(offset[..., :2], dim=-1)
+        close = ((self.keep_right_m - length(offset)) / self.keep_right_m).clamp_min(0.0)
+        towards = unit(offset[..., :2])
         right = torch.stack([towards[..., 1], -towards[..., 0]], -1)
         ahead = (way[..., None, :] * towards).sum(-1).clamp_min(0.0)
         turned = way + ((close * ahead)[..., None] * (right - towards)).sum(-2)
-        return torch.nn.functional.normalize(turned, dim=-1)
+        return unit(turned)
 
     def heading_error(self, way: Tensor, state: Moving, bearing: Tensor, drive: Tensor) -> Tensor:
         """Difference between the heading and the best heading, [B, M], rad, clipped to avoid fast turns.
@@ -120,7 +120,9 @@ class WayLaw:
             drive: force along the route, [B, M], N.
         """
         off = wrapped(state.eta[..., 3] - bearing)
-        ends = wrapped(torch.atan2(way[..., 1], way[..., 0]) - bearing, math.pi)
+        # Bow or stern: modulo pi. atan2 depends in its last digit on the size of the batch.
+        x, y = way.unbind(-1)
+        ends = wrapped(torch.atan(y / torch.where(x == 0.0, torch.finfo(x.dtype).tiny, x)) - bearing, math.pi)
         sides = ends - torch.where(ends > 0.0, math.pi / 2.0, -math.pi / 2.0)
         price_ends, price_sides = (turn.abs() + self.turning * wrapped(off - turn).abs() for turn in (ends, sides))
         fourth = torch.maximum(state.nu[..., :2].square().sum(-1), drive / self.pace_drag).square()
@@ -130,7 +132,7 @@ class WayLaw:
     def descent(self, state: Moving, goal: Tensor, distance: Tensor) -> Tensor:
         """Heave in addition to the trim, [B, M], N, for the glide path to goals [B, M, 3]: faster gains nothing."""
         error = state.position[..., 2] - goal[..., 2]
-        speed = torch.linalg.vector_norm(state.nu[..., :2], dim=-1)
+        speed = length(state.nu[..., :2])
         return -self.glide_damping * (state.nu[..., 2] + self.glide * error * speed / distance.clamp_min(self.near_m))
 
     def pushed(

@@ -29,6 +29,8 @@ log = logging.getLogger("uwirl")
 
 # Number of worlds flown as one batch; their trajectories take about 100 MB.
 BATCH = 250
+# Number of iterates flown again, spread evenly over the learning: more would not show more.
+FLOWN_AGAIN = 40
 
 
 class MissionFlight:
@@ -44,19 +46,40 @@ class MissionFlight:
         self.config, self.env, self.folder = config, env, folder
         self.evaluator = build.make_evaluator(config, env)
 
-    def iterates(
-        self, learning: Learning, state: LearningState, records: Sequence[IterationRecord]
-    ) -> tuple[Evaluation, list[float]]:
-        """The mission of the start policy, and J of every iterate."""
-        start = self.evaluator.fly(learning.agent(state.start, state.trim))
-        weights = torch.stack([record.actor[: self.env.scenario.vehicles] for record in records])
-        costs = self.evaluator.cost_of_weights(learning, weights, state.trim, self.env.scenario.start[None])
-        return start, costs[:, 0].tolist()
+    def fly(self, agents: dict[str, Agent]) -> dict[str, Evaluation]:
+        """The missions of agents by their names, flown as one batch."""
+        flown = self.evaluator.fly_side_by_side([(agent, 1) for agent in agents.values()])
+        return dict(zip(agents, flown, strict=True))
 
-    def baseline(self, estimate: ChannelEstimate) -> dict[str, Evaluation]:
-        """The mission of the baseline planner, by its name."""
+    def baseline(self, estimate: ChannelEstimate) -> dict[str, Agent]:
+        """The baseline planner's agent, by its name."""
         planner = build.make_planner(self.config, self.config.baseline, self.env)
-        return {self.config.baseline.name: self.evaluator.fly(planner.fit(self.env, estimate))}
+        return {self.config.baseline.name: planner.fit(self.env, estimate)}
+
+    def fly_learned(
+        self,
+        learning: Learning,
+        state: LearningState,
+        records: Sequence[IterationRecord],
+        estimate: ChannelEstimate,
+    ) -> tuple[dict[str, Evaluation], list[float | None]]:
+        """The missions of start policy, baseline and learned policy, flown as one batch with the iterates.
+
+        Returns:
+            Missions by the name of their planner, and J of each iterate, None for those that are not flown again.
+        """
+        count, vehicles = len(records), self.env.scenario.vehicles
+        again = torch.linspace(0, count - 1, min(count, FLOWN_AGAIN)).round().long().tolist()
+        iterates = [records[k].actor for k in again]
+        weights = torch.stack([w[:vehicles] for w in (state.start, state.learner.actor, *iterates)])
+        learned = self.evaluator.agent_of_weights(learning, weights, state.trim)
+        ((name, baseline),) = self.baseline(estimate).items()
+        agents = [(baseline, 1), (learned, len(weights))]
+        pair, start, final, flown = self.evaluator.fly_side_by_side(agents, [1, 1, 1, len(iterates)])
+        costs: list[float | None] = [None] * count
+        for k, cost in zip(again, flown.cost.tolist(), strict=True):
+            costs[k] = cost
+        return {"start policy": start, name: pair, self.config.planner.name: final}, costs
 
     def settled(self, evaluation: Evaluation) -> bool:
         """Whether 1/C changes by less than epsilon_4 over the last window of the mission."""

@@ -81,17 +81,16 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
         return metrics | campaign(config, planned.agent_in, folder)
 
     flight = MissionFlight(config, env, folder)
-    flown = {config.planner.name: flight.evaluator.fly(planned.agent_in(env))}
     if planned.learned is None:
-        return metrics | flight.report(flown, estimated, board)
+        return metrics | flight.report(flight.fly({config.planner.name: planned.agent_in(env)}), estimated, board)
     learning, state = planned.learned
-    start, costs = flight.iterates(learning, state, records)
-    flown = {"start policy": start, **flight.baseline(estimated.estimate), **flown}
+    flown, costs = flight.fly_learned(learning, state, records, estimated.estimate)
+    start = float(flown["start policy"].cost[0])
     converged = records[-1].converged and flight.settled(flown[config.planner.name])
     metrics |= flight.report(flown, estimated, board, records, learning.basis, converged) | {"converged": converged}
-    for sentence in learning_warnings(costs, float(start.cost[0]), metrics["cost_total"]):
+    for sentence in learning_warnings(costs, start, metrics["cost_total"]):
         warn(sentence)
-    metrics |= {"cost_total_start_policy": float(start.cost[0]), "cost_per_iteration": costs}
+    metrics |= {"cost_total_start_policy": start, "cost_per_iteration": costs}
     checkpoints.best(learning, state, costs)
     checkpoints.last(learning, state, metrics)
     board.cost_per_iteration(costs)
@@ -154,5 +153,5 @@ def _evaluated(config: Config, folder: Path, path: Path, content: dict[str, Any]
     if config.scenario.layouts is not None:
         return metrics | campaign(config, agent_in, folder)
     flight = MissionFlight(config, env, folder)
-    flown = {**flight.baseline(estimate), config.planner.name: flight.evaluator.fly(agent_in(env))}
+    flown = flight.fly({**flight.baseline(estimate), config.planner.name: agent_in(env)})
     return metrics | flight.report(flown, Estimated(readings_of_each_vehicle(env), estimate))

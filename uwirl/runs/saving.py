@@ -151,11 +151,10 @@ class Checkpoints:
         learner = {"learner": learner_of(state), "history": history_of(self.records), "metrics": metrics or {}}
         self._save("last.pt", policy_of(learning, state, self.estimate, self.records[-1]) | learner)
 
-    def best(self, learning: Learning, state: LearningState, costs: Sequence[float]) -> None:
-        """Save the policy with the lowest J, which is not always the last one."""
-        k = min(range(len(costs)), key=costs.__getitem__)
-        policy = policy_of(learning, state, self.estimate, self.records[k])
-        self._save("best.pt", policy | {"cost_total": costs[k]})
+    def best(self, learning: Learning, state: LearningState, costs: Sequence[float | None]) -> None:
+        """Save the policy with the lowest J of those flown again, which is not always the last one."""
+        cost, k = min((cost, k) for k, cost in enumerate(costs) if cost is not None)
+        self._save("best.pt", policy_of(learning, state, self.estimate, self.records[k]) | {"cost_total": cost})
 
     def _save(self, name: str, content: dict[str, Any]) -> None:
         checkpoint.save(self.folder / name, self.run | content)

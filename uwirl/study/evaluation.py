@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -13,13 +14,13 @@ from uwirl.motion.cost import CostWeights
 from uwirl.motion.learning import Learning
 from uwirl.motion.mission import Mission
 from uwirl.motion.safety import Unguarded
-from uwirl.world.agent import Agent, Guard, Guarded
+from uwirl.world.agent import Agent, Guard, Guarded, SideBySide, slices
+from uwirl.world.geometry import length
 from uwirl.world.observation import Observation
 from uwirl.world.obstacles import contacts
 from uwirl.world.relay import Relay
-from uwirl.world.trajectory import Trajectory, WorldState
+from uwirl.world.trajectory import Trajectory, WorldState, at_rest
 from uwirl.world.truth import truth_of
-from uwirl.world.vehicle import VehicleState
 
 # Smaller differences of tau, relative to the thruster limits, are rounding, also in float32.
 ROUNDING = 1e-5
@@ -72,7 +73,7 @@ class Evaluation:
         """Smallest distance between the centres of two vehicles, [B], m; infinite for a single one."""
         position = self.trajectory.eta[..., :3]
         i, j = torch.triu_indices(position.shape[2], position.shape[2], 1, device=position.device)
-        apart = torch.linalg.vector_norm(position[:, :, i] - position[:, :, j], dim=-1)
+        apart = length(position[:, :, i] - position[:, :, j])
         return torch.nn.functional.pad(apart, (0, 1), value=torch.inf).amin((0, 2))
 
     def time_to_99_percent(self, world: int = 0) -> float | None:
@@ -90,7 +91,7 @@ class Evaluation:
         t99 = self.time_to_99_percent(world)
         arrival = self.trajectory.tau.shape[0] if t99 is None else round(t99 / self.trajectory.dt)
         eta, nu = self.trajectory.eta[:, world], self.trajectory.nu[:, world]
-        travelled = torch.linalg.vector_norm(eta[: arrival + 1, :, :3].diff(dim=0), dim=-1).sum()
+        travelled = length(eta[: arrival + 1, :, :3].diff(dim=0)).sum()
         mean_nu = (nu[1:] + nu[:-1]) / 2.0
         acts = None if self.interventions is None else int(self.interventions[world])
         power = (self.trajectory.tau[:, world] * mean_nu).sum(-1).abs()
@@ -187,17 +188,21 @@ class Evaluator:
         trajectory = self.env.rollout(Guarded(agent, wanted), start)
         return self.judge(trajectory, torch.stack(wanted.tau))
 
-    def judge(self, trajectory: Trajectory, wanted: Tensor | None = None) -> Evaluation:
+    def judge(self, trajectory: Trajectory, wanted: Tensor | None = None, blocked: Tensor | None = None) -> Evaluation:
         """Evaluate a flown trajectory.
 
         Args:
             trajectory: B worlds of it.
             wanted: the agent's tau before the guard, [n, B, M, 4]; None if unknown.
+            blocked: vehicles without a free route to their target at the end, [B, M]; if None, as the carry says.
         """
         scenario, cost, frame = self.env.scenario, self.mission.cost, self.mission.targets.frame
         xi, dt = frame.relative(trajectory.states), trajectory.dt
         position, time = trajectory.states.position, trajectory.time[:, None]
-        nowhere = torch.zeros(position.shape[1:3], dtype=torch.bool, device=position.device)
+        if blocked is None:
+            # Only agents that plan routes report this.
+            nowhere = torch.zeros(position.shape[1:3], dtype=torch.bool, device=position.device)
+            blocked = getattr(trajectory.carry, "blocked", nowhere)
         vehicle, tau = self.env.vehicle, trajectory.tau
 
         def trapezoid(q: Tensor) -> Tensor:
@@ -208,8 +213,7 @@ class Evaluator:
             link_capacity=self.truth.link_capacities_kbps(position),
             optimal_capacity=float(self.truth.link_capacities_kbps(frame.target).amin()),
             clearance=scenario.clearance(position, time),
-            # Only agents that plan routes report this.
-            blocked=getattr(trajectory.carry, "blocked", nowhere),
+            blocked=blocked,
             cost_terms={
                 "link": trapezoid(cost.link(xi)),
                 "obstacle": trapezoid(cost.obstacle(scenario.obstacles, position, time)),
@@ -223,21 +227,56 @@ class Evaluator:
             else ((vehicle.saturate(wanted) - tau).abs() > ROUNDING * vehicle.tau_max).any(-1),
         )
 
-    def cost_of_weights(self, learning: Learning, weights: Tensor, trim: Tensor, starts: Tensor) -> Tensor:
-        """J of K iterates' actor weights from Q starts, all flown as one batch in the first world.
+    def fly_side_by_side(
+        self, agents: Sequence[tuple[Agent, int]], groups: Sequence[int] | None = None
+    ) -> list[Evaluation]:
+        """Fly the first world's mission with several agents, as one batch.
+
+        Args:
+            agents: each with the number of its worlds.
+            groups: numbers of consecutive worlds that are judged together; those of the agents if None. Sums over time
+                depend in their last digit on the number of worlds, flights do not.
+
+        Returns:
+            The missions of each group.
+        """
+        numbers = [number for _, number in agents]
+        first, start = self._first, self._first.env.scenario.start
+        wanted = Wanted(self.guard)
+        together = Guarded(SideBySide([agent for agent, _ in agents], numbers), wanted)
+        trajectory = first.env.rollout(together, at_rest(start.expand(sum(numbers), *start.shape[-2:])))
+        tau, blocked = torch.stack(wanted.tau), trajectory.carry.blocked
+        some = slices(numbers if groups is None else groups)
+        return [first.judge(trajectory.worlds(part), tau[:, part], blocked[part]) for part in some]
+
+    def agent_of_weights(self, learning: Learning, weights: Tensor, trim: Tensor, starts: int = 1) -> Agent:
+        """The agent that flies K sets of actor weights, each in Q consecutive copies of the first world.
 
         Args:
             learning: creates the agent.
             weights: one set for all vehicles, [K, 1, n3], or one for each, [K, M, n3].
             trim: tau that holds a vehicle at rest, [1 or at least M, 4]; rows of the first world are used.
+            starts: Q.
+        """
+        K, M = len(weights), self.env.scenario.vehicles
+        rows = weights[:, None].expand(K, starts, M, -1).flatten(0, 2)
+        return learning.agent(rows, trim[:M].expand(M, 4).repeat(K * starts, 1), self._first.env)
+
+    def cost_of_weights(self, learning: Learning, weights: Tensor, trim: Tensor, starts: Tensor) -> Tensor:
+        """J of K iterates' actor weights from Q starts, all flown as one batch in the first world.
+
+        Args:
+            learning, weights, trim: see `agent_of_weights`.
             starts: eta, [Q, M, 4].
 
         Returns:
             [K, Q].
         """
-        K, Q, M = weights.shape[0], *starts.shape[:2]
-        rows = weights[:, None].expand(K, Q, M, -1).flatten(0, 2)
-        first = self.env.select(torch.zeros(1, dtype=torch.long, device=rows.device))
-        agent = learning.agent(rows, trim[:M].expand(M, 4).repeat(K * Q, 1), first)
-        start = WorldState.of(VehicleState.from_eta_nu(starts.repeat(K, 1, 1)))
-        return self.in_worlds(first).fly(agent, start).cost.view(K, Q)
+        K, Q = len(weights), len(starts)
+        agent = self.agent_of_weights(learning, weights, trim, Q)
+        return self._first.fly(agent, at_rest(starts.repeat(K, 1, 1))).cost.view(K, Q)
+
+    @cached_property
+    def _first(self) -> Evaluator:
+        """The evaluator of the first world."""
+        return self.in_worlds(self.env.select(torch.zeros(1, dtype=torch.long, device=self.env.scenario.source.device)))

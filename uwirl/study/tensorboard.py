@@ -88,10 +88,11 @@ class TensorBoard:
         self.writer.add_scalar("learning/weight_change", record.weight_change, record.iteration)
         self.writer.add_scalar("learning/vehicle_seconds_s", record.seconds, record.iteration)
 
-    def cost_per_iteration(self, cost: list[float]) -> None:
-        """J of each iterate from the mission's start."""
+    def cost_per_iteration(self, cost: Sequence[float | None]) -> None:
+        """J of each iterate that was flown again, from the mission's start."""
         for iteration, value in enumerate(cost, 1):
-            self.writer.add_scalar("cost/total", value, iteration)
+            if value is not None:
+                self.writer.add_scalar("cost/total", value, iteration)
 
     def evaluation(self, evaluation: Evaluation, messages: LinksAtMessages, every: int = 10) -> None:
         """Capacity and clearance over the mission's time (step = ms), the cost by term, and the path in 3-D."""

@@ -64,7 +64,7 @@ def _collisions(scenario: Scenario, evaluation: Evaluation) -> Iterator[str]:
             yield f"vehicles {i + 1} and {j + 1} collided: {depth:.2f} m deep at {float(time[nearest]):.2f} s"
 
 
-def learning_warnings(costs: Sequence[float], start: float, end: float) -> Iterator[str]:
+def learning_warnings(costs: Sequence[float | None], start: float, end: float) -> Iterator[str]:
     """Where learning ended badly.
 
     Args:
@@ -74,10 +74,10 @@ def learning_warnings(costs: Sequence[float], start: float, end: float) -> Itera
     """
     if not end <= (1.0 + WORSE_THAN_START) * start:
         yield f"learning ended worse than the start policy: J {end:.3f} instead of {start:.3f}"
-    best = min(range(len(costs)), key=lambda k: (math.isnan(costs[k]), costs[k]))
-    if not end <= (1.0 + WORSE_THAN_BEST) * costs[best]:
+    least, best = min((math.inf if math.isnan(J) else J, k) for k, J in enumerate(costs, 1) if J is not None)
+    if not end <= (1.0 + WORSE_THAN_BEST) * least:
         yield (
-            f"the last iterate is worse than iterate {best + 1}, the best: J {end:.3f} instead of {costs[best]:.3f}; "
+            f"the last iterate is worse than iterate {best}, the best: J {end:.3f} instead of {least:.3f}; "
             f"`uwirl-evaluate` flies the best with checkpoint=.../checkpoints/best.pt"
         )
 

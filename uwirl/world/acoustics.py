@@ -15,6 +15,10 @@ from torch import Tensor
 
 from uwirl.world.absorption import ABSORPTION_LAWS, Water
 
+# 10 log10(x) = DECIBEL ln(x). PyTorch's log10 and powers depend in their last digit on how many worlds are in a batch;
+# its ln and exp do not, so that a batch of flights equals its singles.
+DECIBEL = 10.0 / math.log(10.0)
+
 
 @dataclass(frozen=True)
 class LinkBudget:
@@ -54,7 +58,7 @@ class LinkBudget:
 
     def capacity_kbps(self, snr_dB: Tensor) -> Tensor:
         """Shannon capacity (7) of an SNR in dB, kbit/s."""
-        return self.bandwidth_khz * torch.log1p(10.0 ** (snr_dB / 10.0)) / math.log(2.0)
+        return self.bandwidth_khz * torch.log1p(torch.exp(snr_dB / DECIBEL)) / math.log(2.0)
 
     def snr_for_dB(self, capacity_kbps: float) -> float:
         """The SNR in dB that gives a capacity in kbit/s: the inverse of (7)."""
@@ -95,7 +99,7 @@ class Channel:
         """Path-loss SNR of (6), dB, same shape as the distance in m."""
         # Estimates are float64 whatever the environment's dtype.
         K, n = (x.to(distance_m) if isinstance(x, Tensor) else x for x in (self.K_dB, self.n))
-        return K - 10.0 * n * torch.log10(distance_m) - self.budget.known_loss_dB(distance_m)
+        return K - DECIBEL * n * torch.log(distance_m) - self.budget.known_loss_dB(distance_m)
 
     def capacity_kbps(self, snr_dB: Tensor) -> Tensor:
         """Capacity of an SNR in dB, kbit/s."""

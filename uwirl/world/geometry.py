@@ -6,9 +6,24 @@ psi turns the inertial frame's x axis into the body's surge axis, counter-clockw
 from __future__ import annotations
 
 import math
+from functools import reduce
 
 import torch
 from torch import Tensor
+
+
+def length(vector: Tensor) -> Tensor:
+    """Euclidean length of vectors [..., 2 or more], [...].
+
+    By components: PyTorch's norm over a short last axis is a hundred times slower for a strided one, and depends in its
+    last digit on the size of the batch, as its hypot and atan2 do.
+    """
+    return reduce(torch.add, (x.square() for x in vector.unbind(-1))).sqrt()
+
+
+def unit(vector: Tensor) -> Tensor:
+    """Vectors [..., 2 or more] divided by their length; zero stays zero."""
+    return vector / length(vector)[..., None].clamp_min(1e-12)
 
 
 def to_body(x: Tensor, y: Tensor, psi: Tensor) -> tuple[Tensor, Tensor]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from uwirl.world.geometry import length
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.regions import separated
@@ -57,15 +58,15 @@ class Layouts:
 def _acceptable(site: Site, targets: Tensor, obstacles: Obstacles, vehicle_radius: float, clearance_m: float) -> Tensor:
     """Whether all vehicles have room at their starts and targets, and some distance to fly, bool [n]."""
     position = site.start[..., :3]
-    way = torch.linalg.vector_norm(position[..., :2] - targets[:, :2], dim=-1)
+    way = length(position[..., :2] - targets[:, :2])
     i, j = torch.triu_indices(len(targets), len(targets), 1, device=targets.device)
-    apart = torch.linalg.vector_norm(position[:, i] - position[:, j], dim=-1)
+    apart = length(position[:, i] - position[:, j])
     # The time at which each cylinder comes nearest to each target.
     velocity = obstacles.velocity[:, None]
     offset = obstacles.offset(targets)
     nearest = (offset * velocity).sum(-1) / velocity.square().sum(-1).clamp_min(1e-12)
     drift = velocity * nearest.clamp(0.0, SWEPT_TIME_S)[..., None]
-    swept = torch.linalg.vector_norm(offset - drift, dim=-1) - obstacles.radius[:, None] - vehicle_radius
+    swept = length(offset - drift) - obstacles.radius[:, None] - vehicle_radius
     return (
         (way >= WAY_M).all(-1)
         & (apart >= SEPARATION_M).all(-1)

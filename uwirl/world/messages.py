@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwirl.world.geometry import distances
+from uwirl.world.geometry import distances, length
 from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.scenario import Scenario
 from uwirl.world.truth import Truth
@@ -96,7 +96,7 @@ def link_snr_heard(
     position = position.double()
     link = truth.link_snr_dB(position, shadowed=True)
     if scenario.hearing_range < torch.inf:
-        distance = torch.linalg.vector_norm(truth.chain(position).diff(dim=-2), dim=-1)
+        distance = length(truth.chain(position).diff(dim=-2))
         link = link.masked_fill(distance > scenario.hearing_range, torch.nan)
     multipath = streams.normal(Stream.LINKS, message, 2 * scenario.vehicles).view(-1, scenario.vehicles, 2)
     return torch.stack([link[:, :-1], link[:, 1:]], -1) + truth.channel.rho_dB * multipath

@@ -41,3 +41,19 @@ class Observation(NamedTuple):
     def position(self) -> Tensor:
         """[B, M, 3], a view, m."""
         return self.eta[..., :3]
+
+    def worlds(self, some: slice) -> Observation:
+        """The observation of some worlds of the batch; its fields are views."""
+
+        def take(field: Tensor) -> Tensor:
+            return field[some]
+
+        return Observation(
+            self.step[some],
+            self.dt,
+            self.eta[some],
+            self.nu[some],
+            self.obstacles.each(take),
+            self.contact[some],
+            Messages(*(take(field) for field in self.messages)),
+        )

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from uwirl.world.geometry import length
+
 
 class Obstacles(NamedTuple):
     """O cylinders, the same in all worlds or different in each; unused places of a world have `present` False.
@@ -52,7 +54,7 @@ class Obstacles(NamedTuple):
 
     def distance(self, position: Tensor, time: Tensor | float = 0.0) -> Tensor:
         """l: from axis to vehicle, [..., M, O], m; infinite where there is no obstacle. Arguments: see `offset`."""
-        l = torch.linalg.vector_norm(self.offset(position, time), dim=-1)
+        l = length(self.offset(position, time))
         return torch.where(self.present[..., None, :], l, torch.inf)
 
     def clearance(self, position: Tensor, vehicle_radius: float, time: Tensor | float = 0.0) -> Tensor:

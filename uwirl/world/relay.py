@@ -14,9 +14,9 @@ from uwirl.world.observation import Observation
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.random import RandomStreams
 from uwirl.world.scenario import Scenario
-from uwirl.world.trajectory import Trajectory, WorldState
+from uwirl.world.trajectory import Trajectory, WorldState, at_rest
 from uwirl.world.truth import Truth
-from uwirl.world.vehicle import Dynamics, Vehicle, VehicleState
+from uwirl.world.vehicle import Dynamics, Vehicle
 
 
 class Relay:
@@ -64,7 +64,7 @@ class Relay:
     def start(self) -> WorldState:
         """The state of all worlds at the scenario's start, at rest."""
         start = self.scenario.start
-        return WorldState.of(VehicleState.from_eta_nu(start.expand(self.worlds, *start.shape[-2:])))
+        return at_rest(start.expand(self.worlds, *start.shape[-2:]))
 
     def reset(self) -> tuple[WorldState, Observation]:
         """The state at the scenario's start, at rest, and the vehicles' observation there."""

@@ -45,6 +45,11 @@ class WorldState(NamedTuple):
         return self._replace(components=self.components.clone())
 
 
+def at_rest(eta: Tensor) -> WorldState:
+    """The state of vehicles at rest at poses eta [B, M, 4], at step 0."""
+    return WorldState.of(VehicleState.from_eta_nu(eta))
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """The record of a rollout.
@@ -90,6 +95,11 @@ class Trajectory:
         """[n + 1], s."""
         n = self.components.shape[0]
         return (self.first_step + torch.arange(n, dtype=torch.float64, device=self.components.device)) * self.dt
+
+    def worlds(self, some: slice) -> Trajectory:
+        """The record of some worlds of the batch, views; without the agent's memory."""
+        end = WorldState(self.end.components[:, some], self.end.step[some], self.end.target[some])
+        return Trajectory(self.components[:, :, some], self.tau[:, some], self.dt, self.first_step, end)
 
     def check_finite(self) -> None:
         """Raise DivergedError, naming the first step and quantity, if any value is not finite."""

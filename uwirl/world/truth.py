@@ -14,6 +14,7 @@ from torch import Tensor
 
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import Shadowing, ShadowingField
+from uwirl.world.geometry import length
 from uwirl.world.random import RandomStreams
 
 # Links whose shadowing is evaluated together: 70 MB for each term of its sum.
@@ -42,7 +43,7 @@ class Truth:
 
     def snr_dB(self, first: Tensor, second: Tensor) -> Tensor:
         """Shadowed SNR of links with ends [Q, 3] in the order of the field, in the first world, [Q], dB."""
-        distance = torch.linalg.vector_norm(first - second, dim=-1)
+        distance = length(first - second)
         ends = zip(first.split(CHUNK), second.split(CHUNK), strict=True)
         shadowing = [self.shadowing(p[None], q[None])[0] for p, q in ends]
         return self.channel.mean_snr_dB(distance) + torch.cat(shadowing)
@@ -60,7 +61,7 @@ class Truth:
             shadowed: whether to include shadowing, or path loss alone.
         """
         chain = self.chain(position)
-        snr = self.channel.mean_snr_dB(torch.linalg.vector_norm(chain.diff(dim=-2), dim=-1))
+        snr = self.channel.mean_snr_dB(length(chain.diff(dim=-2)))
         if not shadowed or float(self.channel.zeta_dB) == 0.0:
             return snr
         # The field's ends are sorted: source < destination < vehicles.
