@@ -45,6 +45,7 @@ def assert_same(folder: Path, whole: Path) -> None:
     ours, theirs = (np.load(path / "trajectory.npz") for path in (folder, whole))
     assert ours.files == theirs.files
     assert all(np.array_equal(ours[name], theirs[name]) for name in ours.files)
+    assert (folder / "iterations.csv").read_text() == (whole / "iterations.csv").read_text()
     for name in ("last.pt", "best.pt"):
         a, b = (checkpoint.load(path / "checkpoints" / name) for path in (folder, whole))
         assert all(torch.equal(a[key], b[key]) for key in ("actor", "critic", "trim"))

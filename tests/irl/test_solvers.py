@@ -8,6 +8,7 @@ import torch
 
 from uwirl.irl.bellman import BellmanOperator, Segment
 from uwirl.irl.classical_rls import ClassicalRls
+from uwirl.irl.least_squares import NormalEquations
 from uwirl.irl.solvers import Batch, BatchLeastSquares, Bounds, Solver, ZRecursiveLeastSquares
 
 SIZES, N2, LEARNERS = (3, 2), 4, 2
@@ -86,8 +87,28 @@ def test_z_rls_equals_batch_on_rebuilt_rows(operator, weights, bounded, regulari
         recursive, batch = (solver.solve(state, policy)[0] for solver, state in zip(solvers, states, strict=True))
         torch.testing.assert_close(recursive.critic, batch.critic, rtol=1e-9, atol=1e-9)
         torch.testing.assert_close(recursive.actor, batch.actor, rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(recursive.residual, batch.residual, rtol=1e-7, atol=0)
+        torch.testing.assert_close(recursive.condition, batch.condition, rtol=1e-6, atol=0)
         assert recursive.average_cost is None
         assert batch.average_cost is None
+
+
+@pytest.mark.parametrize("family", [ZRecursiveLeastSquares, BatchLeastSquares])
+def test_residual_and_condition_by_their_definition(operator, weights, family):
+    solver = family(operator)
+    batches = [stretch(operator, seed) for seed in range(12)]
+    found, _ = solver.solve(fed(solver, batches, weights), weights)
+    rows = [operator.rows(batch.groups[0], weights) for batch in batches]
+    theta, y = (torch.cat(parts).movedim(0, 1) for parts in zip(*rows, strict=True))
+    for k in range(LEARNERS):
+        x = torch.cat([found.critic[k], found.actor[k]])
+        assert float(found.residual[k]) == pytest.approx(float((theta[k] @ x - y[k]).norm() / y[k].norm()), rel=1e-6)
+        scaled = theta[k] / theta[k].norm(dim=0)
+        assert float(found.condition[k]) == pytest.approx(float(torch.linalg.cond(scaled)) ** 2, rel=1e-6)
+
+
+def test_condition_of_what_is_singular_stays_finite():
+    assert float(NormalEquations(torch.ones(2, 2), torch.ones(2), torch.ones(2)).condition()) > 1e6
 
 
 def test_constant_memory(operator, weights):
@@ -254,8 +275,11 @@ def test_everything_happens_on_the_device_of_the_input(weights, family):
     solver = FAMILIES[family](operator)
     state = fed(solver, [Batch((segment, segment), (1.0, 0.5))] * 2, weights.to("meta"))
     solution, _ = solver.solve(state, weights.to("meta"))
-    assert {part.device.type for part in (*segment, *solution)} == {"meta"}
-    assert [part.shape for part in solution] == [(LEARNERS, N2), (LEARNERS, sum(SIZES)), (LEARNERS,)]
+    known = [part for part in solution if part is not None]
+    assert {part.device.type for part in (*segment, *known)} == {"meta"}
+    shapes = [(LEARNERS, N2), (LEARNERS, sum(SIZES)), (LEARNERS,), (LEARNERS,), (LEARNERS,)]
+    # Classical RLS tells neither residual nor condition.
+    assert [part.shape for part in known] == (shapes[:3] if family == "rls_paper" else shapes)
 
 
 def broken(segment: Segment, name: str, value: float) -> Segment:

@@ -31,6 +31,17 @@ class NormalEquations(NamedTuple):
         """With penalty_i (x_i - centre_i scale_i)^2 / 2 added; penalty [n], centre [..., n] in unscaled units."""
         return NormalEquations(self.N + torch.diag(penalty), self.b + penalty * centre * self.scale, self.scale)
 
+    def residual(self, x: Tensor, power: Tensor) -> Tensor:
+        """Root mean square of theta x - y over that of y, for x in unscaled units [..., n] and mean y^2 [...]."""
+        x = x * self.scale
+        square = power - 2.0 * (self.b * x).sum(-1) + (x * (self.N @ x[..., None])[..., 0]).sum(-1)
+        return (square.clamp_min(0.0) / power).sqrt()
+
+    def condition(self) -> Tensor:
+        """Condition number of N, [...]; at most the inverse of the rounding error."""
+        least, most = torch.linalg.eigvalsh(self.N.nan_to_num()).aminmax(dim=-1)
+        return most / torch.maximum(least, torch.finfo(most.dtype).eps * most)
+
     def solve(self, lower: Tensor | None = None, upper: Tensor | None = None) -> Tensor:
         """The minimiser in unscaled units, [..., n], within bounds [n] where they are given."""
         if lower is None or upper is None:

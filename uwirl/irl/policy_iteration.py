@@ -30,12 +30,15 @@ class Iterate(NamedTuple):
         critic: weights of the evaluated policy's critic, [L, n2] where that is linear.
         actor: weights of the improved policy, [L, n3] where that is linear.
         change: ||W^(s) - W^(s-1)|| / ||W^(s-1)|| of the actor's weights, the largest over the learners.
+        residual, condition: see Solution, the largest over the learners; None if the solver does not tell.
     """
 
     iteration: int
     critic: Tensor
     actor: Tensor
     change: float
+    residual: float | None = None
+    condition: float | None = None
 
 
 class LearnerState(NamedTuple, Generic[S]):
@@ -121,7 +124,8 @@ class PolicyIteration(Generic[S]):
         critic, actor = (
             weights.clone(memory_format=torch.contiguous_format) for weights in (solution.critic, solution.actor)
         )
-        iterate = Iterate(state.iteration + 1, critic, actor, change)
+        told = (None if part is None else float(part.max()) for part in (solution.residual, solution.condition))
+        iterate = Iterate(state.iteration + 1, critic, actor, change, *told)
         return state._replace(
             solver=solver,
             critic=critic,

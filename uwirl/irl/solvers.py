@@ -65,11 +65,16 @@ class Solution(NamedTuple):
         critic: weights of its critic, [L, n2] where that is linear.
         actor: weights of the improved policy, [L, n3] where that is linear.
         average_cost: its g_bar, [L]; None where that is known to be zero.
+        residual: root mean square error of the Bellman equations over that of their right-hand side, [L]; None where it
+            is not computed, as with the next.
+        condition: condition number of the normal equations, regressors scaled to unit mean square, [L].
     """
 
     critic: Tensor
     actor: Tensor
     average_cost: Tensor | None = None
+    residual: Tensor | None = None
+    condition: Tensor | None = None
 
 
 class Bounds(NamedTuple):
@@ -128,15 +133,15 @@ class LeastSquaresPolicyEvaluation:
         centre[..., n2 : n2 + n3] = weights
         return penalty, centre
 
-    def finish(self, equations: NormalEquations) -> Solution:
-        """Solve, within the bounds where there are any."""
+    def unknowns(self, equations: NormalEquations) -> Tensor:
+        """The solution [L, n] of equations with penalties, within the bounds where there are any."""
         if self.bounds is None or not self.bounded:
-            return Solution(*self.operator.split(equations.solve()))
+            return equations.solve()
         actor = slice(self.operator.n2, self.operator.n2 + self.operator.n3)
         lower = self.bounds.lower.new_full((self.operator.unknowns,), -torch.inf)
         upper = -lower
         lower[actor], upper[actor] = self.bounds
-        return Solution(*self.operator.split(equations.solve(lower, upper)))
+        return equations.solve(lower, upper)
 
 
 class ZState(NamedTuple):
@@ -186,7 +191,10 @@ class ZRecursiveLeastSquares(LeastSquaresPolicyEvaluation):
         L, target = self.operator.lift(weights)
         LZ = L @ Z / n
         equations = NormalEquations.scaled(LZ @ L.mT, (LZ @ target[..., None])[..., 0])
-        return self.finish(equations.regularised(*self.penalty(weights))), state
+        penalised = equations.regularised(*self.penalty(weights))
+        x = self.unknowns(penalised)
+        power = (target * (Z @ target[..., None])[..., 0]).sum(-1) / n
+        return Solution(*self.operator.split(x), equations.residual(x, power), penalised.condition()), state
 
     @staticmethod
     def _total(state: ZState) -> tuple[Tensor, float]:
@@ -245,10 +253,14 @@ class BatchLeastSquares(LeastSquaresPolicyEvaluation):
         rhs = torch.cat([y / total**0.5, penalty.sqrt() * centre * rms], -1)
         Q, R = torch.linalg.qr(A)
         projected = Q.mT @ rhs[..., None]
+        equations = NormalEquations(R.mT @ R, (R.mT @ projected)[..., 0], rms)
         if self.bounds is None or not self.bounded:
             x = torch.linalg.solve_triangular(R, projected, upper=True)[..., 0] / rms
-            return Solution(*self.operator.split(x)), state
-        return self.finish(NormalEquations(R.mT @ R, (R.mT @ projected)[..., 0], rms)), state
+        else:
+            x = self.unknowns(equations)
+        error = (theta @ x[..., None])[..., 0] - y
+        residual = torch.linalg.vector_norm(error, dim=-1) / torch.linalg.vector_norm(y, dim=-1)
+        return Solution(*self.operator.split(x), residual, equations.condition()), state
 
     def _weighted_rows(self, state: SegmentsState, weights: Tensor) -> tuple[Tensor, Tensor, float]:
         """Rows [L, S, n] and targets [L, S], each times the root of its weight, and the sum of the weights."""

@@ -58,6 +58,7 @@ class IterationRecord:
         converged: whether the change is below epsilon_3.
         rows: rows of experience so far, for each learner.
         closes: whether this is the last iteration of its leg.
+        residual, condition: see `uwirl.irl.solvers.Solution`, the largest over the learners; None if not known.
     """
 
     iteration: int
@@ -68,6 +69,8 @@ class IterationRecord:
     converged: bool
     rows: int
     closes: bool
+    residual: float | None = None
+    condition: float | None = None
 
 
 class Learning:
@@ -164,6 +167,8 @@ class Learning:
                 learner.settled and k == last,
                 learner.rows,
                 k == last,
+                iterate.residual,
+                iterate.condition,
             )
             for k, iterate in enumerate(learner.iterates)
         ]

@@ -147,9 +147,10 @@ class Checkpoints:
                 self.last(learning, state)
 
     def last(self, learning: Learning, state: LearningState, metrics: dict[str, Any] | None = None) -> None:
-        """Save the newest policy and the state from which learning can continue."""
+        """Save the newest policy and the state from which learning can continue, and iterations.csv."""
         learner = {"learner": learner_of(state), "history": history_of(self.records), "metrics": metrics or {}}
         self._save("last.pt", policy_of(learning, state, self.estimate, self.records[-1]) | learner)
+        run_folder.write_iterations(self.folder.parent, self.records, (metrics or {}).get("cost_per_iteration", ()))
 
     def best(self, learning: Learning, state: LearningState, costs: Sequence[float | None]) -> None:
         """Save the policy with the lowest J of those flown again, which is not always the last one."""

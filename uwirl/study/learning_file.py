@@ -21,7 +21,7 @@ from uwirl.world.trajectory import WorldState
 
 # Keys that every checkpoint of a run contains.
 NEEDED = ("config", "config_hash", "overrides", "estimate", "actor", "trim", "features", "iteration")
-_NUMBERS = ("iteration", "seconds", "weight_change", "converged", "rows", "closes")
+_NUMBERS = ("iteration", "seconds", "weight_change", "converged", "rows", "closes", "residual", "condition")
 
 
 def load(path: Path, device: str = "cpu") -> dict[str, Any]:
@@ -49,7 +49,8 @@ def history_of(records: Sequence[IterationRecord]) -> dict[str, Any]:
 
 def records_of(history: dict[str, Any]) -> list[IterationRecord]:
     """The records saved by `history_of`."""
-    names = (*_NUMBERS, "critic", "actor")
+    # Older checkpoints lack the last numbers.
+    names = [name for name in (*_NUMBERS, "critic", "actor") if name in history]
     rows = zip(*(history[name] for name in names), strict=True)
     return [IterationRecord(**dict(zip(names, row, strict=True))) for row in rows]
 

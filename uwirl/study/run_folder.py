@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
 import logging
 import math
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, fields
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +24,7 @@ from torch import Tensor
 from uwirl.config.estimate_schema import EstimateConfig
 from uwirl.config.overrides import FREE
 from uwirl.config.schema import Config
-from uwirl.motion.learning import LearningState
+from uwirl.motion.learning import IterationRecord, LearningState
 from uwirl.snr.diagnostics import Diagnostics
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.atomic_io import read_whole, write_arrays, write_whole
@@ -38,7 +41,28 @@ MOST_BYTES = 10**8
 
 STATUSES = ("complete", "failed", "interrupted")
 # Files that a run writes in addition to config.yaml and run.log.
-RESULTS = ("metrics.json", "trajectory.npz", "layouts.npz", "estimate.npz", "checkpoints", "figures", "tb")
+RESULTS = (
+    "metrics.json",
+    "iterations.csv",
+    "trajectory.npz",
+    "layouts.npz",
+    "estimate.npz",
+    "checkpoints",
+    "figures",
+    "tb",
+)
+
+# Columns of iterations.csv.
+ITERATION_COLUMNS = (
+    "iteration",
+    "vehicle_seconds",
+    "rows",
+    "weight_change",
+    "bellman_residual",
+    "condition_number",
+    "cost_total",
+    "converged",
+)
 
 
 class FolderError(ValueError):
@@ -234,6 +258,24 @@ def write_trajectory(folder: Path, evaluation: Evaluation, messages: LinksAtMess
         message_time_s=messages.time.numpy(force=True),
         link_capacity_shadowed_kbps=messages.link_capacity.numpy(force=True),
     )
+
+
+def write_iterations(folder: Path, records: Sequence[IterationRecord], costs: Sequence[float | None] = ()) -> None:
+    """iterations.csv: one row for each policy iteration; empty cells are not known.
+
+    Args:
+        folder: folder of the run.
+        records: of all iterations so far.
+        costs: J of each iterate, None for those that were not flown again; empty before the missions.
+    """
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(ITERATION_COLUMNS)
+    for record, cost in zip_longest(records, costs):
+        numbers = (record.weight_change, record.residual, record.condition, cost)
+        told = ["" if number is None else f"{number:.10g}" for number in (record.seconds, *numbers)]
+        table.writerow([record.iteration, told[0], record.rows, *told[1:], int(record.converged)])
+    write_whole(folder / "iterations.csv", text.getvalue().encode())
 
 
 def write_layouts(folder: Path, layouts: Layouts, outcomes: Outcomes) -> None:

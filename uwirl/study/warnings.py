@@ -68,7 +68,7 @@ def learning_warnings(costs: Sequence[float | None], start: float, end: float) -
     """Where learning ended badly.
 
     Args:
-        costs: J of the iterates, as in `cost_per_iteration`.
+        costs: J of the iterates, None for those that were not flown again, as in `cost_per_iteration`.
         start: J of the start policy.
         end: J of the policy that was learned.
     """
