@@ -10,6 +10,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
+from torch.utils._pytree import tree_leaves
 
 from uwirl.irl.grid_critic import GridMap, solve_eikonal
 
@@ -212,11 +213,11 @@ def test_replaced_maps():
     """Of three maps the last and the first are replaced by two others; the three stay as they were."""
     w, target = _clutter(5)
     three, two = (solve_eikonal(w[rows], ORIGIN, 0.5, target[rows]) for rows in ([0, 1, 2], [3, 4]))
-    before = [part.clone() for part in three]
+    before = [part.clone() for part in tree_leaves(three)]
     after = three.replaced(torch.tensor([2, 0]), two)
-    assert all(torch.equal(a, b) for a, b in zip(three, before, strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(tree_leaves(three), before, strict=True))
     expected = solve_eikonal(w[[4, 1, 3]], ORIGIN, 0.5, target[[4, 1, 3]])
-    assert all(torch.equal(a, b) for a, b in zip(after, expected, strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(tree_leaves(after), tree_leaves(expected), strict=True))
     masked = three.replaced(torch.tensor([True, False, True]), two)
     assert torch.equal(masked.target, target[[3, 1, 4]])
 
@@ -225,7 +226,7 @@ def test_stacked_maps():
     w, target = _clutter(5)
     parts = [solve_eikonal(w[rows], ORIGIN, 0.5, target[rows]) for rows in ([0, 1], [2], [3, 4])]
     whole = solve_eikonal(w, ORIGIN, 0.5, target)
-    assert all(torch.equal(a, b) for a, b in zip(GridMap.stack(parts), whole, strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(tree_leaves(GridMap.stack(parts)), tree_leaves(whole), strict=True))
 
 
 def test_single_precision():

@@ -14,37 +14,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import reduce
-from itertools import product
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from uwirl.irl.lattice import Lattice
 from uwirl.irl.sweeps import BoxSweeps, SquareSweeps
 
 
 def _unit(x: Tensor) -> Tensor:
     """x / |x| over the last axis; zero stays zero."""
     return x / _length(x.unbind(-1))[..., None].clamp_min(torch.finfo(x.dtype).tiny)
-
-
-def _interpolate(field: Tensor, p: Tensor, origin: Tensor, spacing: Tensor) -> Tensor:
-    """Multilinear interpolation of field [B, *n, C] at p [B, Q, d], clamped to the grid; [B, Q, C]."""
-    nodes = torch.tensor(field.shape[1:-1], device=p.device)
-    strides = torch.tensor(
-        [math.prod(field.shape[axis + 1 : -1]) for axis in range(1, field.ndim - 1)], device=p.device
-    )
-    t = torch.minimum(((p - origin) / spacing).clamp_min(0.0), nodes - 1)
-    cell = torch.minimum(t.long(), nodes - 2)
-    fraction = t - cell
-    values = field.flatten(1, -2)
-    total = torch.zeros_like(values[:, :1])
-    for corner in product((0, 1), repeat=p.shape[-1]):
-        upper = torch.tensor(corner, device=p.device)
-        weight = torch.where(upper > 0, fraction, 1.0 - fraction).prod(-1, keepdim=True)
-        index = ((cell + upper) * strides).sum(-1, keepdim=True)
-        total = total + weight * values.gather(1, index.expand(-1, -1, field.shape[-1]))
-    return total
 
 
 def _upwind_descent(value: Tensor, ratio: Sequence[float]) -> Tensor:
@@ -70,17 +51,15 @@ class GridMap(NamedTuple):
         value: Phi at the nodes, [B, *n], in the axes' unit times that of slowness.
         descent: unit vectors down Phi's upwind gradient with respect to the coordinates, at the nodes, [B, *n, d].
         target: [B, d].
-        origin: position of the first node, [d].
-        spacing: h of each axis, [d].
         rounds: rounds of sweeps each map took, [B].
+        lattice: the nodes.
     """
 
     value: Tensor
     descent: Tensor
     target: Tensor
-    origin: Tensor
-    spacing: Tensor
     rounds: Tensor
+    lattice: Lattice
 
     @classmethod
     def stack(cls, maps: Sequence[GridMap]) -> GridMap:
@@ -88,7 +67,7 @@ class GridMap(NamedTuple):
         value, descent, target, rounds = (
             torch.cat([getattr(m, name) for m in maps]) for name in ("value", "descent", "target", "rounds")
         )
-        return cls(value, descent, target, maps[0].origin, maps[0].spacing, rounds)
+        return cls(value, descent, target, rounds, maps[0].lattice)
 
     def replaced(self, index: Tensor, others: GridMap) -> GridMap:
         """With the maps at index [K] replaced by K others of the same grid; these maps stay as they are."""
@@ -100,7 +79,7 @@ class GridMap(NamedTuple):
 
     def value_at(self, p: Tensor) -> Tensor:
         """Phi at positions p [B, Q, d] by multilinear interpolation, [B, Q]."""
-        return _interpolate(self.value[..., None], p, self.origin, self.spacing)[..., 0]
+        return self.lattice.interpolate(self.value[..., None], p)[..., 0]
 
     def descent_direction(self, p: Tensor, step: float = 0.4, steps: int = 3, straight_within: float = 1.5) -> Tensor:
         """Where to go: the unit chord of a few steps of descent, which a single node's gradient does not swing.
@@ -115,29 +94,25 @@ class GridMap(NamedTuple):
         Returns:
             [B, Q, d], zero at the target.
         """
-        end = self._clamped(p)
+        end = self.lattice.clamped(p)
         for _ in range(steps):
             end = self._step(end, step, straight_within)
         return _unit(end - p)
 
     def path(self, p: Tensor, step: float = 0.4, max_steps: int = 1000, straight_within: float = 1.5) -> Tensor:
         """Polylines of descent from p [B, Q, d], [B, Q, K, d]: until all are at their target, or for `max_steps`."""
-        points = [self._clamped(p)]
+        points = [self.lattice.clamped(p)]
         for _ in range(max_steps):
             if bool((_length((self.target[:, None] - points[-1]).unbind(-1)) <= 1e-3 * step).all()):
                 break
             points.append(self._step(points[-1], step, straight_within))
         return torch.stack(points, -2)
 
-    def _clamped(self, p: Tensor) -> Tensor:
-        extent = self.spacing * (torch.tensor(self.value.shape[1:], device=p.device) - 1)
-        return torch.minimum(torch.maximum(p, self.origin), self.origin + extent)
-
     def _step(self, p: Tensor, step: float, straight_within: float) -> Tensor:
         """One step of descent, never beyond the target."""
         ahead = self.target[:, None] - p
         distance = _length(ahead.unbind(-1))[..., None]
-        downhill = _interpolate(self.descent, p, self.origin, self.spacing)
+        downhill = self.lattice.interpolate(self.descent, p)
         return p + _unit(torch.where(distance < straight_within, ahead, downhill)) * distance.clamp_max(step)
 
 
@@ -175,7 +150,8 @@ def solve_eikonal(
     _check(slowness, (target - origin) / along)
     w = slowness.movedim(0, -1)
     large = math.sqrt(torch.finfo(slowness.dtype).max) / 4.0  # its square, too, is finite
-    phi = _around_target(slowness, origin, along, target, h, large)
+    lattice = Lattice.of(slowness.shape[1:], origin, along)
+    phi = _around_target(slowness, lattice, target, h, large)
     sweeps: SquareSweeps | BoxSweeps
     if len(h) == 2 and h[0] == h[1]:
         sweeps = SquareSweeps(w * h[0], large)
@@ -194,7 +170,7 @@ def solve_eikonal(
         rounds += active
         active &= ~(change <= tolerance * phi.amax(nodes))
     value = phi.movedim(-1, 0).contiguous()
-    return GridMap(value, _upwind_descent(value, [min(h) / x for x in h]), target, origin, along, rounds)
+    return GridMap(value, _upwind_descent(value, [min(h) / x for x in h]), target, rounds, lattice)
 
 
 def _check(slowness: Tensor, where: Tensor) -> None:
@@ -220,22 +196,20 @@ def _spacings(spacing: float | Sequence[float] | Tensor, axes: int) -> list[floa
     return h
 
 
-def _around_target(
-    slowness: Tensor, origin: Tensor, along: Tensor, target: Tensor, h: Sequence[float], large: float
-) -> Tensor:
+def _around_target(slowness: Tensor, lattice: Lattice, target: Tensor, h: Sequence[float], large: float) -> Tensor:
     """Phi [*n, B] within two nodes of the target, and large elsewhere.
 
     The scheme's error grows with Phi's curvature, which has no bound at a point source: it starts from a disc instead.
     """
     offsets = []
     for axis, n in enumerate(slowness.shape[1:]):
-        x = origin[axis] + h[axis] * torch.arange(n).to(slowness)
+        x = lattice.origin[axis] + h[axis] * torch.arange(n).to(slowness)
         shape = [n if k == axis else 1 for k in range(len(h))]
         offsets.append(x.view(*shape, 1) - target[:, axis])
     distance = _length(offsets)
     nearest = min(h)
     reach = distance if max(h) == nearest else _length([x * (nearest / k) for x, k in zip(offsets, h, strict=True)])
-    at_target = _interpolate(slowness[..., None], target[:, None], origin, along)[:, 0, 0]
+    at_target = lattice.interpolate(slowness[..., None], target[:, None])[:, 0, 0]
     return torch.where(reach <= 2.0 * nearest, distance * (slowness.movedim(0, -1) + at_target) / 2.0, large)
 
 
