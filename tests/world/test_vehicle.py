@@ -13,6 +13,7 @@ from torch import Tensor
 from uwirl.config.compose import folder
 from uwirl.world import vehicle as vehicle_module
 from uwirl.world.geometry import rotation_matrix
+from uwirl.world.integration import Body, rk4_by_components, rk4_by_rows
 from uwirl.world.vehicle import Vehicle, VehicleState
 
 PRESETS = sorted(path.stem for path in (folder() / "vehicle").glob("*.yaml"))
@@ -140,6 +141,13 @@ def test_derivative_is_the_equation_written_out(vehicle: Vehicle, settings: dict
     rows = zip(state.components.T.numpy(), tau.numpy(), strict=True)
     expected = [reference_rate(0.0, x, settings, t) for x, t in rows]
     np.testing.assert_allclose(rate(vehicle, state, tau).numpy(), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_both_forms_of_a_step_are_the_same_to_the_last_bit(vehicle: Vehicle):
+    state, force = random_state(20), 30.0 * normal(4, 20, seed=9)
+    body = Body(vehicle.inertia, vehicle.linear_damping, vehicle.quadratic_damping)
+    rows, components = (form(body, state.components, force, 0.05) for form in (rk4_by_rows, rk4_by_components))
+    assert torch.equal(rows, components)
 
 
 def test_rk4_agrees_with_scipy(settings: dict):

@@ -20,9 +20,10 @@ import torch
 from torch import Tensor, nn
 
 from uwirl.world.geometry import to_body
+from uwirl.world.integration import Body, column, rk4
 
 # Vehicles integrated together in eager mode: enough to hide the cost of a kernel call, few enough for the cache.
-CHUNK = 32_768
+CHUNK = 16_384
 
 
 @dataclass(frozen=True)
@@ -188,32 +189,6 @@ class Vehicle(nn.Module):
         """D(nu) [..., 4, 4], diagonal, of nu [..., 4]."""
         return torch.diag_embed(self.linear_damping + self.quadratic_damping * nu.abs())
 
-    def derivative(self, psi: Tensor, nu: Sequence[Tensor], force: Sequence[Tensor]) -> list[Tensor]:
-        """Right-hand side of (1), component by component; it does not depend on the position.
-
-        Working on single components rather than on [8, ...] lets a compiler fuse a whole step into one pass over
-        memory, at no cost to eager execution (benchmarks/world.py).
-
-        Args:
-            psi: [...].
-            nu: u, v, w, r, each [...].
-            force: tau - g for surge, sway, heave and yaw, each [...].
-
-        Returns:
-            Time derivatives of x, y, z, psi, u, v, w, r, each [...].
-        """
-        u, v, w, r = nu
-        m_u, m_v = self.inertia[0], self.inertia[1]
-        c, s = torch.cos(psi), torch.sin(psi)
-        damping = zip(force, self.linear_damping, self.quadratic_damping, nu, strict=True)
-        drive = [torch.addcmul(f, x.abs() * quadratic + linear, x, value=-1.0) for f, linear, quadratic, x in damping]
-        # C(nu) nu = [-m_v v r, m_u u r, 0, (m_v - m_u) u v]
-        drive[0] = torch.addcmul(drive[0], v, r * m_v)
-        drive[1] = torch.addcmul(drive[1], u, r * m_u, value=-1.0)
-        drive[3] = torch.addcmul(drive[3], u, v * (m_u - m_v))
-        nu_dot = [d / m for d, m in zip(drive, self.inertia, strict=True)]
-        return [torch.addcmul(c * u, s, v, value=-1.0), torch.addcmul(s * u, c, v), w, r, *nu_dot]
-
     def rk4(self, x: Tensor, tau: Tensor, dt: float, out: Tensor | None = None) -> Tensor:
         """One classical Runge-Kutta step with tau held.
 
@@ -226,21 +201,8 @@ class Vehicle(nn.Module):
         Returns:
             x after dt, [8, ...].
         """
-
-        def slope(previous: list[Tensor], h: float) -> list[Tensor]:
-            psi, *nu = (torch.add(a, b, alpha=h) for a, b in zip(start[3:], previous[3:], strict=True))
-            return self.derivative(psi, nu, force)
-
-        start = x.unbind(0)
-        force = (tau - self.restoring.view(-1, *[1] * (tau.ndim - 1))).unbind(0)
-        k1 = self.derivative(start[3], start[4:], force)
-        k2 = slope(k1, dt / 2)
-        k3 = slope(k2, dt / 2)
-        k4 = slope(k3, dt)
-        stages = zip(start, k1, k2, k3, k4, strict=True)
-        return torch.stack(
-            [torch.add(x0, torch.add(a + d, b + c, alpha=2.0), alpha=dt / 6) for x0, a, b, c, d in stages], out=out
-        )
+        body = Body(self.inertia, self.linear_damping, self.quadratic_damping)
+        return rk4(body, x, tau - column(self.restoring, tau), dt, out)
 
     def drift(self, x: Tensor, tau: Tensor, dt: float, current: Tensor) -> Tensor:
         """One Runge-Kutta step in a current; nu is the velocity over ground, drag depends on that through water.
