@@ -13,7 +13,7 @@ from torch import Tensor
 from uwirl.config.compose import folder
 from uwirl.world import vehicle as vehicle_module
 from uwirl.world.geometry import rotation_matrix
-from uwirl.world.integration import Body, rk4_by_components, rk4_by_rows
+from uwirl.world.integration import column, derivative, rk4_by_components, rk4_by_rows
 from uwirl.world.vehicle import Vehicle, VehicleState
 
 PRESETS = sorted(path.stem for path in (folder() / "vehicle").glob("*.yaml"))
@@ -54,8 +54,9 @@ def fly(vehicle: Vehicle, state: VehicleState, tau: Tensor, dt: float, steps: in
 
 def rate(vehicle: Vehicle, state: VehicleState, tau: Tensor) -> Tensor:
     """The fused derivative of a state, [..., 8]."""
-    _, _, _, psi, *nu = state.components.unbind(0)
-    return torch.stack(vehicle.derivative(psi, nu, (tau - vehicle.restoring).unbind(-1)), -1)
+    x = state.components
+    force = tau.movedim(-1, 0) - column(vehicle.restoring, x)
+    return derivative(vehicle.body(x), x[3:], force).movedim(0, -1)
 
 
 def reference_rate(_: float, x: np.ndarray, s: dict, tau: np.ndarray) -> np.ndarray:
@@ -145,7 +146,7 @@ def test_derivative_is_the_equation_written_out(vehicle: Vehicle, settings: dict
 
 def test_both_forms_of_a_step_are_the_same_to_the_last_bit(vehicle: Vehicle):
     state, force = random_state(20), 30.0 * normal(4, 20, seed=9)
-    body = Body(vehicle.inertia, vehicle.linear_damping, vehicle.quadratic_damping)
+    body = vehicle.body(state.components)
     rows, components = (form(body, state.components, force, 0.05) for form in (rk4_by_rows, rk4_by_components))
     assert torch.equal(rows, components)
 

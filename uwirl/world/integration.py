@@ -15,7 +15,7 @@ from torch import Tensor
 
 
 class Body(NamedTuple):
-    """Constants of a body, [4] each: surge, sway, heave, yaw.
+    """Constants of a body in surge, sway, heave and yaw, [4, ...] each, in the shape of the rows of a state.
 
     Attributes:
         inertia: diagonal of M, added mass included, kg and kg m^2.
@@ -49,31 +49,30 @@ def rk4(body: Body, x: Tensor, force: Tensor, dt: float, out: Tensor | None = No
     return form(body, x, force, dt, out)
 
 
+def derivative(body: Body, y: Tensor, force: Tensor) -> Tensor:
+    """Right-hand side of (1), [8, ...], at psi, u, v, w, r [5, ...]; it does not depend on the position."""
+    m_u, m_v = body.inertia[0], body.inertia[1]
+    psi, nu = y[0], y[1:]
+    u, v, _, r = nu.unbind(0)
+    c, s = torch.cos(psi), torch.sin(psi)
+    damping = nu.abs() * body.quadratic_damping + body.linear_damping
+    drive = torch.addcmul(force, damping, nu, value=-1.0)
+    surge, sway, _, yaw = drive.unbind(0)
+    # C(nu) nu = [-m_v v r, m_u u r, 0, (m_v - m_u) u v]
+    surge.addcmul_(v, r * m_v)
+    sway.addcmul_(u, r * m_u, value=-1.0)
+    yaw.addcmul_(u, v * (m_u - m_v))
+    x_dot, y_dot = torch.addcmul(c * u, s, v, value=-1.0), torch.addcmul(s * u, c, v)
+    return torch.cat([x_dot[None], y_dot[None], nu[2:], drive.div_(body.inertia)])
+
+
 def rk4_by_rows(body: Body, x: Tensor, force: Tensor, dt: float, out: Tensor | None = None) -> Tensor:
     """The form for eager execution, see `rk4`."""
-    columns = Body(*(column(values, x) for values in body))
-    m_u, m_v = body.inertia[0], body.inertia[1]
-
-    def slope(y: Tensor) -> Tensor:
-        """Time derivative [8, ...] at psi, u, v, w, r [5, ...]; it does not depend on the position."""
-        psi, nu = y[0], y[1:]
-        u, v, _, r = nu.unbind(0)
-        c, s = torch.cos(psi), torch.sin(psi)
-        damping = nu.abs() * columns.quadratic_damping + columns.linear_damping
-        drive = torch.addcmul(force, damping, nu, value=-1.0)
-        surge, sway, _, yaw = drive.unbind(0)
-        # C(nu) nu = [-m_v v r, m_u u r, 0, (m_v - m_u) u v]
-        surge.addcmul_(v, r * m_v)
-        sway.addcmul_(u, r * m_u, value=-1.0)
-        yaw.addcmul_(u, v * (m_u - m_v))
-        x_dot, y_dot = torch.addcmul(c * u, s, v, value=-1.0), torch.addcmul(s * u, c, v)
-        return torch.cat([x_dot[None], y_dot[None], nu[2:], drive.div_(columns.inertia)])
-
     start = x[3:]
-    k1 = slope(start)
-    k2 = slope(torch.add(start, k1[3:], alpha=dt / 2))
-    k3 = slope(torch.add(start, k2[3:], alpha=dt / 2))
-    k4 = slope(torch.add(start, k3[3:], alpha=dt))
+    k1 = derivative(body, start, force)
+    k2 = derivative(body, torch.add(start, k1[3:], alpha=dt / 2), force)
+    k3 = derivative(body, torch.add(start, k2[3:], alpha=dt / 2), force)
+    k4 = derivative(body, torch.add(start, k3[3:], alpha=dt), force)
     return torch.add(x, torch.add(k1 + k4, k2 + k3, alpha=2.0), alpha=dt / 6, out=out)
 
 
@@ -83,7 +82,7 @@ def rk4_by_components(body: Body, x: Tensor, force: Tensor, dt: float, out: Tens
     forces, start = force.unbind(0), x.unbind(0)
 
     def slope(psi: Tensor, nu: Sequence[Tensor]) -> list[Tensor]:
-        """As in `rk4_by_rows`, from and to single components, each [...]."""
+        """As `derivative`, from and to single components, each [...]."""
         u, v, w, r = nu
         c, s = torch.cos(psi), torch.sin(psi)
         damping = zip(forces, body.linear_damping, body.quadratic_damping, nu, strict=True)

@@ -201,8 +201,11 @@ class Vehicle(nn.Module):
         Returns:
             x after dt, [8, ...].
         """
-        body = Body(self.inertia, self.linear_damping, self.quadratic_damping)
-        return rk4(body, x, tau - column(self.restoring, tau), dt, out)
+        return rk4(self.body(x), x, tau - column(self.restoring, tau), dt, out)
+
+    def body(self, x: Tensor) -> Body:
+        """The constants of (1) in the shape of the rows of a state [8, ...]."""
+        return Body(*(column(q, x) for q in (self.inertia, self.linear_damping, self.quadratic_damping)))
 
     def drift(self, x: Tensor, tau: Tensor, dt: float, current: Tensor) -> Tensor:
         """One Runge-Kutta step in a current; nu is the velocity over ground, drag depends on that through water.
