@@ -8,6 +8,7 @@ from uwirl.config.compose import compose
 from uwirl.config.validate import RK4_STABILITY, ConfigError, validate
 
 PAIR = "scenario.start=[[0,0,-5,0],[5,5,-5,0]]"
+SHORT_LINK = "scenario.source_m=[0,0,-8] scenario.destination_m=[2,0,-8] scenario.vehicle_radius_m=0.35"
 HOVER_AND_LEG = "planner.calibration_s=15 experience.leg_s=5 planner.max_time_s"
 CYLINDER = "scenario.obstacles=[{{center_m:{},radius_m:{},influence_m:6}}]"
 PARALLEL = "experience=parallel"
@@ -49,6 +50,8 @@ RULES = [
     ("basis=geodesic guidance=straight", "guidance.name", "learns how to fly with guidance=geodesic"),
     ("scenario.start=[]", "scenario.start", "needs at least one vehicle [x, y, z, psi]"),
     ("scenario.start=[1,2,-3,0]", "scenario.start[0]", "needs 4 finite numbers, got 1"),
+    (f"{PAIR} {SHORT_LINK}", "scenario.start", "targets of 2 vehicles 0.667 m apart on the link of 2 m, closer than"),
+    (f"safety=none {PAIR} {SHORT_LINK}", "scenario.start", "= 0.7 m; 1 would fit"),
     ("scenario.start=[[1,2,-3]]", "scenario.start[0]", "needs 4 finite numbers"),
     ("scenario.start=[[0,0,-5,0],[1,2,inf,0]]", "scenario.start[1]", "needs 4 finite numbers"),
     ("scenario.start=[[1,2,-3,east]]", "scenario.start[0]", "needs 4 finite numbers"),

@@ -9,7 +9,7 @@ import torch
 
 from uwirl.study.campaign import Outcomes
 from uwirl.study.evaluation import Evaluation, table
-from uwirl.study.warnings import campaign_warnings, flight_warnings, learning_warnings
+from uwirl.study.warnings import campaign_warnings, flight_warnings, learning_warnings, mission_warnings
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.scenario import Scenario
 from uwirl.world.trajectory import Trajectory, WorldState
@@ -49,6 +49,21 @@ def mission(y: tuple[float, float] = (10.0, 20.0), final: float = 100.0) -> tupl
 
 def test_nothing_is_said_of_a_good_mission():
     assert list(flight_warnings(*mission())) == []
+
+
+def test_what_no_planner_reaches_is_said_first(make_relay):
+    """2 m/s at most: 500 m take longer than 80 s; and over hops of 5 km nothing is heard."""
+    assert list(mission_warnings(make_relay())) == []
+    nodes = ("scenario.source_m=[-5000,0,-8]", "scenario.destination_m=[5000,0,-8]")
+    near, far = (make_relay(*nodes, f"scenario.start=[[{x},0,-8,0]]", "channel=paper") for x in (2, 500))
+    (silent,) = mission_warnings(near)
+    assert silent.startswith("channel: even at the best places the chain carries only 4.6e-08 kbit/s")
+    _, late = mission_warnings(far)
+    assert late.startswith("scenario.duration_s: 80 s are too short: vehicle 1 starts 500 m from its target, at least ")
+    need = float(late.removesuffix(" s away at full thrust").rsplit(" ", 1)[1])
+    # Full thrust ahead alone, and with as much to the side on top.
+    ahead, aside = ((-a + (a * a + 340.0 * b) ** 0.5) / (2.0 * b) for a, b in ((4.03, 18.18), (6.22, 21.66)))
+    assert need == pytest.approx(500.0 / (ahead**2 + aside**2) ** 0.5, abs=0.5)
 
 
 def test_who_hit_what_when_and_how_deep():

@@ -52,6 +52,7 @@ def validate(config: Config) -> None:
     checked.check("")
     families = (
         _world(config),
+        _chain(config),
         _guard(config),
         _obstacles(config),
         _guidance(config),
@@ -121,6 +122,20 @@ def _top_speed(scenario: ScenarioConfig, vehicle: VehicleConfig) -> float:
     speed = (math.sqrt(linear**2 + 4.0 * quadratic * thrust) - linear) / (2.0 * quadratic)
     drift = max((math.hypot(*obstacle.velocity_mps) for obstacle in scenario.obstacles), default=0.0)
     return speed + current_speed(scenario) + drift
+
+
+def _chain(config: Config) -> Problems:
+    """Room for all vehicles on the link."""
+    scenario, safety = config.scenario, config.safety
+    apart, why = 2.0 * scenario.vehicle_radius_m, "2 scenario.vehicle_radius_m"
+    if isinstance(safety, GuardConfig) and safety.separation_m > apart:
+        apart, why = safety.separation_m, "safety.separation_m"
+    length, vehicles = math.dist(scenario.source_m, scenario.destination_m), len(scenario.start)
+    hop = length / (vehicles + 1)
+    if vehicles > 1 and hop < apart:
+        close = f"{hop:.3g} m apart on the link of {length:.3g} m, closer than {why} = {apart:g} m"
+        most = max(1, math.floor(length / apart) - 1)
+        yield "scenario.start", f"puts the targets of {vehicles} vehicles {close}; {most} would fit"
 
 
 def _guard(config: Config) -> Problems:

@@ -24,7 +24,7 @@ ROUNDS = 8
 KEPT = 16
 # Places of the first grids of all vehicles together, and levels of each: over longer hops and in deeper water the
 # grids are coarser, so that neither time nor memory grows with the world.
-MOST_PLACES, MOST_LEVELS = 2**18, 64
+MOST_PLACES, MOST_LEVELS = 2**17, 64
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from uwirl.runs.saving import Checkpoints, Origin
 from uwirl.study import checkpoint, run_folder
 from uwirl.study.learning_file import load, take_estimate, take_trim, take_weights
 from uwirl.study.tensorboard import TensorBoard
-from uwirl.study.warnings import learning_warnings
+from uwirl.study.warnings import learning_warnings, mission_warnings
 from uwirl.world.readings import readings_of_each_vehicle
 
 log = logging.getLogger("uwirl")
@@ -67,6 +67,9 @@ def run(config: Config, experiment: str, folder: Path, overrides: Sequence[str] 
 def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints, board: TensorBoard) -> dict[str, Any]:
     env = build.make_relay(config)
     planner, estimator = build.make_planner(config, config.planner, env), build.make_estimator(config.estimator, env)
+    if config.scenario.layouts is None:
+        for sentence in mission_warnings(env):
+            warn(sentence)
     records = checkpoints.records
     if records:
         log.info("continues after iteration %d, %.0f s of flight", records[-1].iteration, records[-1].seconds)

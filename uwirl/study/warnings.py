@@ -7,15 +7,50 @@ from collections.abc import Iterator, Sequence
 
 import torch
 
+from uwirl.motion.targets import mean_channel_targets
 from uwirl.study.campaign import Outcomes
 from uwirl.study.evaluation import Evaluation
 from uwirl.world.obstacles import contacts
+from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario
+from uwirl.world.truth import truth_of
+from uwirl.world.vehicle import Vehicle
 
 # J may rise by this share before a run is said to have ended worse; the best of many iterates is better by chance.
 WORSE_THAN_START, WORSE_THAN_BEST = 1e-3, 0.01
 # From this share of the steps on, thrusters are saturated nearly always.
 NEARLY_ALWAYS = 0.9
+# A chain whose best capacity is less carries nothing, kbit/s.
+NOTHING_KBPS = 1e-3
+
+
+def mission_warnings(env: Relay) -> Iterator[str]:
+    """What no planner can reach in a mission of one world: a target too far away, or a channel too short."""
+    scenario, truth, vehicle = env.scenario, truth_of(env), env.vehicle
+    target = mean_channel_targets(scenario, truth.channel).frame.target
+    best = float(truth.link_capacities_kbps(target).amin())
+    if best < NOTHING_KBPS:
+        snr = float(truth.link_snr_dB(target).amin())
+        yield (
+            f"channel: even at the best places the chain carries only {best:.2g} kbit/s, with an SNR of {snr:.0f} dB; "
+            f"it needs more vehicles (scenario.start) or a channel that reaches farther"
+        )
+    if not isinstance(vehicle, Vehicle):
+        return
+    # Terminal speeds under full thrust along surge, sway and heave, then of both horizontal ones at once.
+    linear, quadratic = vehicle.linear_damping[:3], vehicle.quadratic_damping[:3]
+    u, v, w = ((linear.square() + 4.0 * quadratic * vehicle.tau_max[:3]).sqrt() - linear) / (2.0 * quadratic)
+    drift = torch.linalg.vector_norm(scenario.current.mean, dim=-1).max()
+    way = target - scenario.start[..., :3]
+    across, upwards = torch.linalg.vector_norm(way[..., :2], dim=-1), way[..., 2].abs()
+    need = torch.maximum(across / (torch.hypot(u, v) + drift), upwards / (w + drift)).flatten()
+    i = int(need.argmax())
+    if float(need[i]) > scenario.duration:
+        yield (
+            f"scenario.duration_s: {scenario.duration:g} s are too short: vehicle {i + 1} starts "
+            f"{float(torch.linalg.vector_norm(way, dim=-1).flatten()[i]):.0f} m from its target, at least "
+            f"{float(need[i]):.0f} s away at full thrust"
+        )
 
 
 def flight_warnings(scenario: Scenario, evaluation: Evaluation) -> Iterator[str]:

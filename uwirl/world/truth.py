@@ -17,8 +17,8 @@ from uwirl.world.fading import Shadowing, ShadowingField
 from uwirl.world.geometry import length
 from uwirl.world.random import RandomStreams
 
-# Links whose shadowing is evaluated together: 70 MB for each term of its sum.
-CHUNK = 2**14
+# Links whose shadowing is evaluated together: each term of its sum then fits into caches.
+CHUNK = 2**10
 
 
 class Truth:
