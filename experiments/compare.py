@@ -18,6 +18,7 @@ from typing import Any
 
 import hydra
 import torch
+from learned import shown
 from learning_curve import STARTS
 from omegaconf import DictConfig
 from results import leave
@@ -34,6 +35,7 @@ from uwirl.motion.cost import CostWeights
 from uwirl.motion.mission import Mission
 from uwirl.study import figures
 from uwirl.study.evaluation import Evaluation, Evaluator
+from uwirl.study.progress import bar
 from uwirl.world.agent import Agent
 from uwirl.world.layouts import KINDS, draw_layouts
 from uwirl.world.obstacles import contacts, no_obstacles
@@ -58,7 +60,7 @@ class Rival:
         torch.set_num_threads(config.threads)
         env = build.make_relay(config)
         estimator = build.make_estimator(config.estimator, env)
-        *_, planned = algorithm_1(env, estimator, build.make_planner(config, config.planner, env))
+        *_, planned = shown(algorithm_1(env, estimator, build.make_planner(config, config.planner, env)), config)
         assert isinstance(planned, Planned)
         return cls(config, planned.agent_in)
 
@@ -66,7 +68,8 @@ class Rival:
         """Its missions, with its own detection range."""
         seen = replace(worlds.scenario, detection_range=self.config.scenario.detection_range_m)
         worlds = worlds.on(seen, worlds.streams)
-        return Evaluator(worlds, weights, build.make_guard(self.config, worlds)).fly(self.agent_in(worlds))
+        guard, progress = build.make_guard(self.config, worlds), self.config.logging.progress
+        return Evaluator(worlds, weights, guard, progress).fly(self.agent_in(worlds))
 
 
 def reference(mission: Mission, flown: Evaluation, world: int, settings: DictConfig) -> Plan:
@@ -110,10 +113,12 @@ def compare(settings: DictConfig) -> tuple[dict[str, Any], dict[str, Tensor]]:
     for problem, (worlds, names) in problems(settings, env, targets).items():
         flown = {name: rival.fly(worlds, weights) for name, rival in rivals.items()}
         mission, plans = Mission(worlds, channel, weights), []
-        for world, name in enumerate(names):
-            plans.append(reference(mission, next(iter(flown.values())), world, settings))
-            J = " ".join(f"{float(flight.cost[world]):8.3f}" for flight in flown.values())
-            log.info("%-16s %8.3f%s %s", name, plans[-1].cost, " " if plans[-1].converged else "*", J)
+        with bar("optimising", len(names), first.config.logging.progress) as progress:
+            for world, name in enumerate(names):
+                plans.append(reference(mission, next(iter(flown.values())), world, settings))
+                J = " ".join(f"{float(flight.cost[world]):8.3f}" for flight in flown.values())
+                log.info("%-16s %8.3f%s %s", name, plans[-1].cost, " " if plans[-1].converged else "*", J)
+                progress.update()
         way = worlds.start().vehicles.position[..., :2] - targets[:, :2]
         far = torch.linalg.vector_norm(way, dim=-1).amin(-1) >= (settings.least_way_m if problem == "layouts" else 0.0)
         counted = far & torch.tensor([plan.converged for plan in plans])

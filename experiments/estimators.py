@@ -27,6 +27,7 @@ from uwirl.snr.estimators import ESTIMATORS
 from uwirl.snr.information import cramer_rao_bound
 from uwirl.snr.intervals import intervals
 from uwirl.snr.model import Fading, observations
+from uwirl.study.progress import bar
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import exact_shadowing
 from uwirl.world.geometry import distances
@@ -120,13 +121,15 @@ def study(settings: DictConfig) -> dict[str, Any]:
         for size in settings.sizes:
             parts: dict[str, list[Errors]] = {estimator: [] for estimator in settings.estimators}
             spent = dict.fromkeys(parts, 0.0)
-            for layout in range(settings.seed, settings.seed + settings.layouts):
-                readings = simulate(scenario, channel, tuple(size), layout, settings.data_sets // settings.layouts)
-                for estimator in parts:
-                    begin = time.process_time()
-                    estimate = ESTIMATORS[estimator](readings, channel.budget)
-                    spent[estimator] += time.process_time() - begin
-                    parts[estimator].append(judge(readings, channel, estimate))
+            with bar(f"estimating {name} {size[0]} x {size[1]}", settings.layouts * len(parts)) as progress:
+                for layout in range(settings.seed, settings.seed + settings.layouts):
+                    readings = simulate(scenario, channel, tuple(size), layout, settings.data_sets // settings.layouts)
+                    for estimator in parts:
+                        begin = time.process_time()
+                        estimate = ESTIMATORS[estimator](readings, channel.budget)
+                        spent[estimator] += time.process_time() - begin
+                        parts[estimator].append(judge(readings, channel, estimate))
+                        progress.update()
             for estimator, errors in parts.items():
                 joined = Errors(*(torch.cat(pieces) for pieces in zip(*errors, strict=True)))
                 figures = row(joined)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from uwirl import build
-from uwirl.algorithm import Improved, Start, algorithm_1
+from uwirl.algorithm import Event, Improved, Start, algorithm_1
 from uwirl.config.schema import Config
 from uwirl.motion.irl_planner import IrlPlanner
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
 from uwirl.motion.planner import Planner
+from uwirl.study.progress import bar
 from uwirl.world.agent import Agent
 from uwirl.world.relay import Relay
 
@@ -32,6 +34,16 @@ class Learned(NamedTuple):
         return self.learning.agent(self.state.learner.actor, self.state.trim, worlds)
 
 
+def shown(events: Iterator[Event], config: Config) -> Iterator[Event]:
+    """Events of Algorithm 1, with a bar of the vehicle time on a terminal."""
+    total = getattr(config.planner, "max_time_s", 0.0)
+    with bar("learning", total, config.logging.progress and total > 0.0) as progress:
+        for event in events:
+            if isinstance(event, Improved):
+                progress.update(min(event.state.seconds, total) - progress.n)
+            yield event
+
+
 def learn(config: Config, env: Relay, planner: Planner | None = None, start: Start | None = None) -> Learned:
     """Run Algorithm 1.
 
@@ -48,7 +60,7 @@ def learn(config: Config, env: Relay, planner: Planner | None = None, start: Sta
     if not isinstance(planner, IrlPlanner):
         raise SystemExit(f"planner={config.planner.name} does not learn")
     records = []
-    for event in algorithm_1(env, build.make_estimator(config.estimator, env), planner, start):
+    for event in shown(algorithm_1(env, build.make_estimator(config.estimator, env), planner, start), config):
         if isinstance(event, Improved):
             records += event.records
             learning, state = event.learning, event.state

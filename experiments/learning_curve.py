@@ -64,7 +64,7 @@ def learning_curve(seeds: int, times_s: list[float], overrides: list[str]) -> di
     torch.set_num_threads(config.threads)
     env = build.make_relay(config, RandomStreams.replicates(range(seeds), config.device))
     learning, state, records = learn(config, env)
-    evaluator = Evaluator(env, build.make_cost(config.cost))
+    evaluator = Evaluator(env, build.make_cost(config.cost), progress=config.logging.progress)
 
     def gaps(weights: Tensor) -> tuple[list[float], list[float]]:
         J = evaluator.cost_of_weights(learning, weights[:, None], state.trim, STARTS[:, None, :4])

@@ -31,6 +31,7 @@ from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.snr.intervals import student_t
 from uwirl.snr.kriging import Kriging
 from uwirl.study import shadowing
+from uwirl.study.progress import bar
 from uwirl.world.truth import truth_of
 
 log = logging.getLogger("uwirl")
@@ -134,11 +135,13 @@ def main(settings: DictConfig) -> None:
     """Run all seeds, draw, and write metrics.json."""
     torch.set_num_threads(1)
     rows, examples = [], []
-    for seed in range(settings.seeds):
-        row, example = one_seed(list(settings.overrides), seed)
-        rows.append(row)
-        examples.append(example)
-        log.info("seed %2d: midpoint %.3f, map %.3f, best %.3f kbit/s", seed, *row)
+    with bar("mapping", settings.seeds) as progress:
+        for seed in range(settings.seeds):
+            row, example = one_seed(list(settings.overrides), seed)
+            rows.append(row)
+            examples.append(example)
+            log.info("seed %2d: midpoint %.3f, map %.3f, best %.3f kbit/s", seed, *row)
+            progress.update()
     capacity = torch.tensor(rows, dtype=torch.float64)
     metrics = statistics(capacity)
     tell(metrics, ".3f")

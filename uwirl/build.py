@@ -164,4 +164,4 @@ def make_planner(config: Config, planner: PlannerConfig, env: Relay) -> Planner:
 
 def make_evaluator(config: Config, env: Relay) -> Evaluator:
     """The evaluator of missions in an environment."""
-    return Evaluator(env, make_cost(config.cost), make_guard(config, env))
+    return Evaluator(env, make_cost(config.cost), make_guard(config, env), config.logging.progress)

@@ -55,7 +55,7 @@ class LoggingConfig(Section):
     tensorboard: bool = MISSING  # write tb/
     figures: bool = MISSING  # write figures/*.png
     animation: bool = MISSING  # write figures/mission.gif
-    progress: bool = MISSING  # a line on the terminal while learning
+    progress: bool = MISSING  # bars with the time left, on a terminal
 
 
 @dataclass

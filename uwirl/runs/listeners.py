@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import sys
-import threading
 from collections.abc import Callable
 
 from tqdm import tqdm
@@ -19,20 +17,14 @@ Listener = Callable[[Event], None]
 
 
 class Narrator:
-    """Logs estimate and learning; shows a bar on a terminal, elsewhere logs a line every minute of vehicle time.
+    """Logs estimate and learning: with a bar that is shown, else by a line every minute of vehicle time.
 
     Args:
-        total_s: vehicle time at which learning ends at the latest, s.
-        bar: whether to show a bar on a terminal.
+        bar: its total is the vehicle time at which learning ends at the latest, s.
     """
 
-    def __init__(self, total_s: float, bar: bool):
-        # Without any stderr Python has None.
-        shown = bar and sys.stderr is not None and sys.stderr.isatty()
-        # tqdm's own lock is a system semaphore, which a killed run would leave behind.
-        tqdm.set_lock(threading.RLock())
-        form = "  learning {percentage:3.0f}%|{bar:30}| {postfix}, {remaining} left"
-        self.bar = tqdm(total=total_s, disable=not shown, leave=False, bar_format=form)
+    def __init__(self, bar: tqdm):
+        self.bar = bar
         self.next_line_s = 60.0
 
     def __call__(self, event: Event) -> None:
@@ -44,7 +36,6 @@ class Narrator:
             case Improved(records=[*_, newest]):
                 self._progress(newest)
             case Planned(_, learned):
-                self.bar.close()
                 if learned is not None:
                     state = learned[1]
                     settled = ", weights settled" if state.learner.settled else ""

@@ -27,6 +27,7 @@ from uwirl.runs.recorded import recorded, warn
 from uwirl.runs.saving import Checkpoints, Origin
 from uwirl.study import checkpoint, run_folder
 from uwirl.study.learning_file import load, take_estimate, take_trim, take_weights
+from uwirl.study.progress import bar
 from uwirl.study.tensorboard import TensorBoard
 from uwirl.study.warnings import learning_warnings, mission_warnings
 from uwirl.world.readings import readings_of_each_vehicle
@@ -73,10 +74,11 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
     records = checkpoints.records
     if records:
         log.info("continues after iteration %d, %.0f s of flight", records[-1].iteration, records[-1].seconds)
-    narrator = Narrator(getattr(config.planner, "max_time_s", 0.0), config.logging.progress)
-    listeners: list[Listener] = [narrator, Board(board, records, checkpoints.every), checkpoints]
     events = algorithm_1(env, estimator, planner, origin.start(env))
-    estimated, planned = _heard(events, listeners, checkpoints.interruption)
+    shown = config.logging.progress and isinstance(planner, IrlPlanner)
+    with bar("learning", getattr(config.planner, "max_time_s", 0.0), shown) as progress:
+        listeners: list[Listener] = [Narrator(progress), Board(board, records, checkpoints.every), checkpoints]
+        estimated, planned = _heard(events, listeners, checkpoints.interruption)
     metrics = run_folder.estimate_metrics(estimated.estimate)
     if planned.learned is not None:
         metrics |= run_folder.learning_metrics(planned.learned[1], config.scenario.dt_s)

@@ -12,6 +12,7 @@ from scipy import special
 from torch import Tensor
 
 from uwirl.study.evaluation import Evaluation, Evaluator, finite
+from uwirl.study.progress import bar
 from uwirl.world.agent import Agent
 from uwirl.world.layouts import KINDS, Layouts
 from uwirl.world.obstacles import contacts
@@ -138,31 +139,36 @@ def fly(
     """
     common = replace(env.scenario, start=layouts.start, obstacles=layouts.obstacles)
     everywhere = env.on(common, env.streams)
-    parts = []
-    for rows in torch.arange(len(layouts.kind), device=layouts.kind.device).split(batch):
-        worlds = everywhere.select(rows)
-        evaluation = evaluator.in_worlds(worlds).fly(agent_in(worlds))
-        watch(worlds, evaluation)
-        interventions = evaluation.interventions
-        assert interventions is not None
-        parts.append(
-            {
-                "collisions": contacts(evaluation.clearance).sum(-1),
-                "clearance": evaluation.clearance.amin((0, 2)),
-                "separation": evaluation.separation.double(),
-                "t99": evaluation.arrival,
-                "blocked": evaluation.blocked.any(-1),
-                "cost": evaluation.cost,
-                "interventions": interventions,
-                "intervention_share": interventions.double() / len(evaluation.saturated),
-            }
-        )
+    parts: list[dict[str, Tensor]] = []
+    batches = torch.arange(len(layouts.kind), device=layouts.kind.device).split(batch)
+    with bar("flying", len(layouts.kind) * env.scenario.steps, evaluator.progress) as progress:
+        for rows in batches:
+            worlds = everywhere.select(rows)
+            evaluation = evaluator.in_worlds(worlds).fly(agent_in(worlds), progress=progress)
+            watch(worlds, evaluation)
+            parts.append(_results(evaluation))
     room = env.scenario.vehicle_radius + getattr(evaluator.guard, "margin_m", 0.0)
     verdicts = [
         layouts.feasible(evaluator.mission.targets.frame.target, room + d) for d in (0.0, AMBIGUITY, -AMBIGUITY)
     ]
     joined = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
     return Outcomes(layouts.kind, verdicts[0], verdicts[1] != verdicts[2], **joined)
+
+
+def _results(evaluation: Evaluation) -> dict[str, Tensor]:
+    """Fields of Outcomes that are known of each world flown."""
+    interventions = evaluation.interventions
+    assert interventions is not None
+    return {
+        "collisions": contacts(evaluation.clearance).sum(-1),
+        "clearance": evaluation.clearance.amin((0, 2)),
+        "separation": evaluation.separation.double(),
+        "t99": evaluation.arrival,
+        "blocked": evaluation.blocked.any(-1),
+        "cost": evaluation.cost,
+        "interventions": interventions,
+        "intervention_share": interventions.double() / len(evaluation.saturated),
+    }
 
 
 def upper_bound(failures: int, trials: int) -> float:

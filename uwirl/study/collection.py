@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from uwirl.snr.intervals import student_t
+from uwirl.study.progress import bar
 from uwirl.study.run_folder import read_metrics
 
 # Metrics shown in tables and figures, if runs have them.
@@ -178,6 +179,7 @@ def collect(folder: Path) -> Collection:
         folder: an existing folder.
     """
     found = Collection([], [], [])
+    ended: list[Path] = []
 
     def unreadable(error: OSError) -> None:
         found.skipped.append((_name(folder, Path(error.filename)), error.strerror or "cannot be read"))
@@ -186,7 +188,7 @@ def collect(folder: Path) -> Collection:
         here = Path(place)
         inside = sorted(name for name in folders if name not in WITHIN and not name.startswith("."))
         if "metrics.json" in (*files, *inside):
-            _read(found, folder, here)
+            ended.append(here)
         elif "config.yaml" in files or "run.log" in files:
             found.incomplete.append(_name(folder, here))
         elif not files and not folders:
@@ -195,6 +197,10 @@ def collect(folder: Path) -> Collection:
             foreign = sorted(name for name in files if name not in BESIDE and not name.startswith("."))
             found.skipped.extend((_name(folder, here / name), "not of a run") for name in foreign)
         folders[:] = [name for name in inside if name != "metrics.json"]
+    with bar("reading", len(ended)) as progress:
+        for here in ended:
+            _read(found, folder, here)
+            progress.update()
     return found
 
 

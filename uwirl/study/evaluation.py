@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 
 import torch
 from torch import Tensor
+from tqdm import tqdm
 
 from uwirl.motion.cost import CostWeights
 from uwirl.motion.learning import Learning
 from uwirl.motion.mission import Mission
 from uwirl.motion.safety import Unguarded
+from uwirl.study.progress import bar
 from uwirl.world.agent import Agent, Guard, Guarded, SideBySide, slices
 from uwirl.world.geometry import length
 from uwirl.world.observation import Observation
@@ -152,15 +155,17 @@ class Wanted:
 
     Args:
         guard: the guard that acts.
+        progress: gets the number of worlds at each step.
     """
 
-    def __init__(self, guard: Guard):
-        self.guard = guard
+    def __init__(self, guard: Guard, progress: tqdm):
+        self.guard, self.progress = guard, progress
         self.tau: list[Tensor] = []
 
     def __call__(self, tau: Tensor, observation: Observation) -> Tensor:
         """What the guard makes of tau."""
         self.tau.append(tau)
+        self.progress.update(len(tau))
         return self.guard(tau, observation)
 
 
@@ -171,22 +176,37 @@ class Evaluator:
         env: the worlds.
         weights: weights of the running cost; effort is measured from the vehicle's true trim.
         guard: guard between agent and thrusters; none if None.
+        progress: whether to show a bar during flights, on a terminal.
     """
 
-    def __init__(self, env: Relay, weights: CostWeights | None = None, guard: Guard | None = None):
-        self.env, self.guard = env, guard or Unguarded()
+    def __init__(
+        self, env: Relay, weights: CostWeights | None = None, guard: Guard | None = None, progress: bool = False
+    ):
+        self.env, self.guard, self.progress = env, guard or Unguarded(), progress
         self.truth = truth_of(env)
         self.mission = Mission(env, self.truth.channel, weights or CostWeights())
 
     def in_worlds(self, env: Relay) -> Evaluator:
         """The same evaluator for other worlds."""
-        return Evaluator(env, self.mission.weights, self.guard)
+        return Evaluator(env, self.mission.weights, self.guard, self.progress)
 
-    def fly(self, agent: Agent, start: WorldState | None = None) -> Evaluation:
-        """Fly one mission from the scenario's start, or from another state; see `Relay.rollout`."""
-        wanted = Wanted(self.guard)
-        trajectory = self.env.rollout(Guarded(agent, wanted), start)
-        return self.judge(trajectory, torch.stack(wanted.tau))
+    def fly(self, agent: Agent, start: WorldState | None = None, progress: tqdm | None = None) -> Evaluation:
+        """Fly one mission.
+
+        Args:
+            agent: who flies.
+            start: state to start from, see `Relay.rollout`; the scenario's start if None.
+            progress: a bar of more than this flight, in steps of one world; one of this flight if None.
+        """
+        return self.judge(*self._flown(agent, self.env.start() if start is None else start, progress))
+
+    def _flown(self, agent: Agent, start: WorldState, progress: tqdm | None = None) -> tuple[Trajectory, Tensor]:
+        """A flight and the agent's tau before the guard, [n, B, M, 4]."""
+        steps = self.env.scenario.steps * len(start.step)
+        with nullcontext(progress) if progress is not None else bar("flying", steps, self.progress) as shown:
+            wanted = Wanted(self.guard, shown)
+            trajectory = self.env.rollout(Guarded(agent, wanted), start)
+        return trajectory, torch.stack(wanted.tau)
 
     def judge(self, trajectory: Trajectory, wanted: Tensor | None = None, blocked: Tensor | None = None) -> Evaluation:
         """Evaluate a flown trajectory.
@@ -242,10 +262,9 @@ class Evaluator:
         """
         numbers = [number for _, number in agents]
         first, start = self._first, self._first.env.scenario.start
-        wanted = Wanted(self.guard)
-        together = Guarded(SideBySide([agent for agent, _ in agents], numbers), wanted)
-        trajectory = first.env.rollout(together, at_rest(start.expand(sum(numbers), *start.shape[-2:])))
-        tau, blocked = torch.stack(wanted.tau), trajectory.carry.blocked
+        together = SideBySide([agent for agent, _ in agents], numbers)
+        trajectory, tau = first._flown(together, at_rest(start.expand(sum(numbers), *start.shape[-2:])))
+        blocked = trajectory.carry.blocked
         some = slices(numbers if groups is None else groups)
         return [first.judge(trajectory.worlds(part), tau[:, part], blocked[part]) for part in some]
 
