@@ -13,6 +13,7 @@ from uwirl.baselines.trajectory_optimization import PlanAgent, TrajectoryOptimiz
 from uwirl.motion.mission import Mission
 from uwirl.snr.estimators import oracle
 from uwirl.study.evaluation import Evaluator
+from uwirl.world.integration import derivative
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.random import RandomStreams
 from uwirl.world.readings import take_readings
@@ -96,7 +97,7 @@ def test_all_reference_costs(solver, mission_from, start, printed):
 
 @pytest.mark.parametrize("cost_name", ["relay", "paper"])
 def test_plan_obeys_the_world(solver, mission_from, cost_name):
-    """Defects by Vehicle.derivative and J by RelayCost, both at the nodes."""
+    """Defects by the right-hand side of (1) and J by RelayCost, both at the nodes."""
     mission = mission_from(PAPER, "experiment=fig5_single", f"cost={cost_name}")
     env, cost = mission.env, mission.cost
     plan = optimise(mission, [round_the_obstacles(mission)])
@@ -107,8 +108,9 @@ def test_plan_obeys_the_world(solver, mission_from, cost_name):
     assert not bool(plan.nu[0].any())
 
     h = env.scenario.duration / 200
-    force = (plan.tau - env.vehicle.restoring).unbind(-1)
-    f = torch.stack(env.vehicle.derivative(plan.eta[..., 3], plan.nu.unbind(-1), force), -1)
+    force = (plan.tau - env.vehicle.restoring).movedim(-1, 0)
+    rows = VehicleState.from_eta_nu(plan.eta, plan.nu).components
+    f = derivative(env.vehicle.body(rows), rows[3:], force).movedim(0, -1)
     x = torch.cat([plan.eta, plan.nu], -1)
     defect = x.diff(dim=0) - h / 2.0 * (f[1:] + f[:-1])
     assert float(defect.abs().max()) < 5e-3  # |nu| is rounded near rest

@@ -17,7 +17,7 @@ from uwirl.motion.route import MapSettings, Router, link_cost
 from uwirl.motion.route_tracker import Route, RouteTracker
 from uwirl.motion.way_law import WayLaw
 from uwirl.world.agent import Agent
-from uwirl.world.geometry import left_of, length, to_body
+from uwirl.world.geometry import left_of, length, none_known, to_body
 from uwirl.world.observation import Observation
 
 # From a controller for the last metres to an agent that flies the whole distance.
@@ -136,9 +136,10 @@ class GeodesicAgent:
         direction = route.direction(observation).to(position.dtype)
         way = law.keep_right(direction, position, observation.messages.eta[..., :3])
         distance = length(position[..., :2] - goal[..., :2])
-        tau = self.near.towards(LinkFrame(goal, self.near.frame.bearing)).control(observation)
-        share = law.near_share(distance)[..., None]
-        tau = (1.0 - share) * self._along(route, observation, way, distance) + share * tau
+        share, tau = law.near_share(distance)[..., None], self._along(route, observation, way, distance)
+        if not none_known(share > 0.0):
+            near = self.near.towards(LinkFrame(goal, self.near.frame.bearing)).control(observation)
+            tau = (1.0 - share) * tau + share * near
         force, push = law.pushed(carry.push, observation, goal, way, distance, self.dt)
         return torch.cat([tau[..., :2] + force, tau[..., 2:]], -1), RouteCarry(route, push)
 

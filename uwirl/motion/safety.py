@@ -23,7 +23,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwirl.world.geometry import length, turned_to_body
+from uwirl.world.geometry import length, none_known, turned_to_body
 from uwirl.world.observation import Observation
 from uwirl.world.relay import Relay
 
@@ -159,10 +159,12 @@ class EnergyGuard:
             away = (safe[..., None, :] - centre) * axes
             distance = length(away)
             excess, worst = (distance - radius).max(-1, keepdim=True)
+            if none_known(excess > 0.0):
+                return safe
             shrink = 1.0 - radius.gather(-1, worst) / distance.gather(-1, worst).clamp_min(1e-9)
             # Along axes that the constraint does not include, `away` is zero and the force is unchanged.
             safe = torch.where(excess > 0.0, safe - shrink * _pick(away, worst), safe)
-            safe = torch.maximum(torch.minimum(safe, force_max), -force_max)
+            safe = torch.clamp(safe, -force_max, force_max)
         left = length((safe[..., None, :] - centre) * axes) - radius
         violated = left.amax(-1, keepdim=True)
         nearest = h.argmin(-1, keepdim=True)

@@ -96,6 +96,8 @@ class WayLaw:
             position: [..., M, 3], m.
             others: positions of the others as known to each vehicle, [..., M, M, 3], m.
         """
+        if way.shape[-2] == 1:
+            return way
         offset = others - position[..., :, None, :]
         close = ((self.keep_right_m - length(offset)) / self.keep_right_m).clamp_min(0.0)
         towards = unit(offset[..., :2])

@@ -18,7 +18,8 @@ def length(vector: Tensor) -> Tensor:
     By components: PyTorch's norm over a short last axis is a hundred times slower for a strided one, and depends in its
     last digit on the size of the batch, as its hypot and atan2 do.
     """
-    return reduce(torch.add, (x.square() for x in vector.unbind(-1))).sqrt()
+    first, *others = vector.unbind(-1)
+    return reduce(lambda total, x: torch.addcmul(total, x, x), others, first.square()).sqrt()
 
 
 def unit(vector: Tensor) -> Tensor:
@@ -29,13 +30,13 @@ def unit(vector: Tensor) -> Tensor:
 def to_body(x: Tensor, y: Tensor, psi: Tensor) -> tuple[Tensor, Tensor]:
     """Components of an inertial vector along the axes of a frame turned by psi; arguments broadcast."""
     c, s = torch.cos(psi), torch.sin(psi)
-    return c * x + s * y, c * y - s * x
+    return torch.addcmul(c * x, s, y), torch.addcmul(c * y, s, x, value=-1.0)
 
 
 def to_inertial(u: Tensor, v: Tensor, psi: Tensor) -> tuple[Tensor, Tensor]:
     """Inertial components of a vector given along the axes of a frame turned by psi; arguments broadcast."""
     c, s = torch.cos(psi), torch.sin(psi)
-    return c * u - s * v, s * u + c * v
+    return torch.addcmul(c * u, s, v, value=-1.0), torch.addcmul(s * u, c, v)
 
 
 def turned_to_body(vector: Tensor, psi: Tensor) -> Tensor:
@@ -74,3 +75,11 @@ def distances(a: Tensor, b: Tensor) -> Tensor:
     """Distances between points [..., m, 3] and points [..., n, 3], [..., m, n], m."""
     # The default mode multiplies matrices: its errors are 1e-7, and the diagonal is not zero.
     return torch.cdist(a, b, compute_mode="donot_use_mm_for_euclid_dist")
+
+
+def none_known(mask: Tensor) -> bool:
+    """Whether a mask is False everywhere, if that is known at once: False where one would have to wait for the device.
+
+    For work that changes nothing where the mask is False.
+    """
+    return mask.device.type == "cpu" and not bool(mask.any())
