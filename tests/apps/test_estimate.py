@@ -65,6 +65,7 @@ def test_sample_log_gives_the_channel_it_was_made_with(sample):
     assert metrics["readings_used"] == metrics["readings"]
     assert metrics["residual_rms"] == pytest.approx(1.0, abs=0.1)
     assert metrics["leave_one_out_rmse_dB"] < 0.6 * metrics["leave_one_out_rmse_path_loss_dB"]
+    assert metrics["warnings"] == []
     assert not any(isinstance(value, dict) for value in metrics.values())
 
 
@@ -123,11 +124,23 @@ def test_what_looks_wrong_is_told(estimate, tmp_path, caplog):
     assert "line 100 does not belong: +" in caplog.text
     assert "sensor buoy-05 does not agree with the others: -" in caplog.text
     assert "residuals are not normal" in caplog.text
+    assert metrics["warnings"]
+    assert all(f"warning: {sentence}" in caplog.text for sentence in metrics["warnings"])
     caplog.clear()
     with caplog.at_level("INFO", "uwirl"):
         metrics = estimate(f"data={path}", "estimator.robust=true")
     assert metrics["readings_refused"] >= 1
     assert "do not belong and are left out (estimator.robust)" in caplog.text
+
+
+def test_doubts_come_before_the_map(estimate, write, caplog):
+    """Received power, with a depth that changes its sign between columns, after a loss of power."""
+    rows = [f"{x},0,-18,0,{x % 7},18,{-40 - x / 3 + x % 3}" for x in range(10, 80, 5)]
+    with caplog.at_level("INFO", "uwirl"):
+        metrics = estimate(write("\0" + rows[0], *rows[1:]))
+    starts = ["NUL bytes were skipped on line 2", "sensors lie up to 18 m above the surface", "snr_dB is -5"]
+    assert [any(text.startswith(start) for text in metrics["warnings"]) for start in starts] == [True] * 3
+    assert "nothing looks wrong" not in caplog.text
 
 
 @pytest.mark.parametrize("estimator", ["least_squares", "generalized_least_squares", "separate"])
@@ -195,6 +208,11 @@ def test_too_few_readings(write):
 def test_one_distance(write):
     with pytest.raises(ValueError, match=r"log.csv: all 3 readings are over 10 m"):
         prepare(write("0,0,0,10,0,0,20", "0,0,0,0,10,0,21", "0,0,0,0,0,-10,19"))
+
+
+def test_degrees(write):
+    with pytest.raises(ValueError, match=r"log.csv: x \(10 to 10.003\) and y \(54 to 54.002\) look like degrees"):
+        prepare(write("10,54,0,10.001,54,0,20", "10,54,0,10.003,54,0,12", "10,54,0,10,54.002,0,14"))
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from uwirl.runs.listeners import Board, Listener, Narrator
 from uwirl.runs.missions import MissionFlight, campaign
 from uwirl.runs.recorded import recorded, warn
 from uwirl.runs.saving import Checkpoints, Origin
+from uwirl.snr.plausibility import implausible
 from uwirl.study import checkpoint, run_folder
 from uwirl.study.learning_file import load, take_estimate, take_trim, take_weights
 from uwirl.study.progress import bar
@@ -77,7 +78,7 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
     events = algorithm_1(env, estimator, planner, origin.start(env))
     shown = config.logging.progress and isinstance(planner, IrlPlanner)
     with bar("learning", getattr(config.planner, "max_time_s", 0.0), shown) as progress:
-        listeners: list[Listener] = [Narrator(progress), Board(board, records, checkpoints.every), checkpoints]
+        listeners: list[Listener] = [Narrator(progress), _doubt, Board(board, records, checkpoints.every), checkpoints]
         estimated, planned = _heard(events, listeners, checkpoints.interruption)
     metrics = run_folder.estimate_metrics(estimated.estimate)
     if planned.learned is not None:
@@ -100,6 +101,14 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
     checkpoints.last(learning, state, metrics)
     board.cost_per_iteration(costs)
     return metrics
+
+
+def _doubt(event: Event) -> None:
+    """Warn of readings and estimates that cannot be true, before anything is planned with them."""
+    if isinstance(event, Estimated):
+        for i, readings in enumerate(event.readings):
+            for sentence in implausible(readings, event.estimate.select(torch.tensor([i]))):
+                warn(f"channel of vehicle {i + 1}: {sentence}")
 
 
 def _heard(

@@ -16,7 +16,7 @@ from uwirl.config.checks import ConfigError
 from uwirl.config.estimate_schema import EstimateConfig
 from uwirl.runs import pictures
 from uwirl.runs.interruption import Interruption
-from uwirl.runs.recorded import recorded
+from uwirl.runs.recorded import recorded, warn
 from uwirl.study import estimate_report, run_folder
 from uwirl.study.snr_map import Grid
 from uwirl.study.survey import Survey
@@ -75,9 +75,16 @@ def _estimate(config: EstimateConfig, survey: Survey, grid: Grid, sender: Tensor
     # Outliers have been removed already.
     estimate = survey.estimate(build.make_estimator(replace(config.estimator, robust=False)))
     _tell(estimate_report.table(estimate, used.heard))
+    doubts = survey.doubts(estimate)
+    _doubt(doubts)
     diagnostics = survey.diagnose(estimate)
     judged = estimate_report.diagnostic_metrics(diagnostics, survey.line, used.names)
-    _tell(estimate_report.diagnosis(judged, used.heard, len(used.names)))
+    _tell(estimate_report.diagnosis(judged, used.heard))
+    suspicions = list(estimate_report.suspicions(judged, used.heard, len(used.names)))
+    _doubt(suspicions)
+    if not doubts + suspicions:
+        few = used.heard < estimate_report.LEAST
+        _tell(["too few readings to tell what is wrong" if few else "nothing looks wrong"])
     snr_map = survey.map(estimate, grid, sender, config.map.capacity_kbps)
     run_folder.write_estimate(folder, snr_map, diagnostics, survey.line)
     if pictures.wanted(config.logging):
@@ -87,6 +94,11 @@ def _estimate(config: EstimateConfig, survey: Survey, grid: Grid, sender: Tensor
     metrics = run_folder.estimate_metrics(estimate) | survey.counts
     metrics |= {"cost": float(estimate.cost), "evaluations": estimate.evaluations} | judged
     return metrics | {"map_from_m": sender.tolist(), "map_capacity_kbps": snr_map.threshold}
+
+
+def _doubt(sentences: Iterable[str]) -> None:
+    for sentence in sentences:
+        warn(sentence)
 
 
 def _tell(lines: Iterable[str]) -> None:

@@ -37,7 +37,6 @@ def introduction(survey: Survey, name: str) -> Iterator[str]:
     if refused:
         which = ", ".join(map(str, refused[:LISTED])) + (", ..." if len(refused) > LISTED else "")
         yield f"{len(refused):,} readings do not belong and are left out (estimator.robust), on line {which}"
-    yield from survey.whole.doubts
     used = counts["readings_used"]
     if used + len(refused) < counts["readings"]:
         yield f"{used:,} readings are used, evenly over messages and sensors (max_readings={survey.most})"
@@ -81,7 +80,7 @@ def diagnostic_metrics(diagnostics: Diagnostics, line: Tensor, names: tuple[str,
     }
 
 
-def diagnosis(metrics: dict[str, Any], readings: int, sensors: int) -> Iterator[str]:
+def diagnosis(metrics: dict[str, Any], readings: int) -> Iterator[str]:
     """Lines of text about the results of `diagnostic_metrics`."""
     kriged, loss = metrics["leave_one_out_rmse_dB"], metrics["leave_one_out_rmse_path_loss_dB"]
     yield f"each reading predicted by the others: off by {kriged:.3g} dB rms, {loss:.3g} dB by path loss alone"
@@ -100,11 +99,10 @@ def diagnosis(metrics: dict[str, Any], readings: int, sensors: int) -> Iterator[
             f"farthest off of the sensors: {metrics['sensor_worst']}, {metrics['sensor_worst_mean_dB']:+.3g} dB on "
             f"average ({metrics['sensor_worst_standardized']:+.2f} standard deviations)"
         )
-    found = list(_suspicions(metrics, readings, sensors))
-    yield from found or ["nothing looks wrong" if readings >= LEAST else "too few readings to tell what is wrong"]
 
 
-def _suspicions(metrics: dict[str, Any], readings: int, sensors: int) -> Iterator[str]:
+def suspicions(metrics: dict[str, Any], readings: int, sensors: int) -> Iterator[str]:
+    """Sentences on what looks wrong in the results of `diagnostic_metrics`."""
     line, off, p = metrics["residual_worst_line"], metrics["residual_worst"], metrics["residual_normality_p"]
     if _beyond(off, readings):
         yield (

@@ -16,6 +16,7 @@ from uwirl.snr.log import Log, read_log
 from uwirl.snr.log_file import LogError
 from uwirl.snr.model import UnidentifiableError, observations
 from uwirl.snr.outliers import reject_outliers
+from uwirl.snr.plausibility import ImplausibleError, check_units, implausible
 from uwirl.study.snr_map import Grid, SnrMap, make_grid, make_map
 from uwirl.world.acoustics import LinkBudget
 from uwirl.world.readings import Readings
@@ -54,19 +55,20 @@ class Survey:
             robust: whether to leave out readings and sensors that do not belong, see `uwirl.snr.outliers`.
 
         Raises:
-            LogError: the log cannot be used, or too few readings or distances are left to determine a channel.
+            LogError: the log cannot be used, its positions are degrees, or too few readings or distances are left to
+                determine a channel.
             OSError: it cannot be opened.
         """
         path = Path(path)
         whole = read_log(path)
         used = whole.thinned(most)
-        _check_identifiable(path, used.readings, budget)
+        _check(path, used.readings, budget)
         refused = used.line[:0]
         if robust:
             believed = reject_outliers(used.readings, budget).snr[0][used.message, used.sensor]
             refused = used.line[believed.isnan()]
             used = replace(used, snr=believed).thinned(most)
-            _check_identifiable(path, used.readings, budget)
+            _check(path, used.readings, budget)
         return cls(whole, used, refused, budget, most)
 
     @property
@@ -89,6 +91,10 @@ class Survey:
     def estimate(self, estimator: Estimator = maximum_likelihood) -> ChannelEstimate:
         """The channel (9)-(13) behind the readings that count."""
         return estimator(self.used.readings, self.budget)
+
+    def doubts(self, estimate: ChannelEstimate) -> list[str]:
+        """Sentences on what cannot be true in the log, or in an estimate from it; empty if nothing looks wrong."""
+        return [*self.whole.doubts, *implausible(self.used.readings, estimate)]
 
     def diagnose(self, estimate: ChannelEstimate) -> Diagnostics:
         """Whether those readings look as an estimate says, each held against what the others predict, [m]."""
@@ -125,8 +131,9 @@ class Survey:
         return make_map(Kriging(self.used.readings, estimate.channel), grid, sender, outage_kbps)
 
 
-def _check_identifiable(path: Path, readings: Readings, budget: LinkBudget) -> None:
+def _check(path: Path, readings: Readings, budget: LinkBudget) -> None:
     try:
+        check_units(readings, budget)
         next(observations(readings, budget))
-    except UnidentifiableError as error:
+    except (ImplausibleError, UnidentifiableError) as error:
         raise LogError(path, str(error)) from None
