@@ -75,7 +75,10 @@ FAULTS: dict[str, tuple[Callable[..., tuple], str]] = {
     "south for north": (lambda T, R, y: (T, scaled(R, 1, -1, 1), y), "with the sign of y of the sensors (or of the"),
     "centimetres at the vehicle": (lambda T, R, y: (1e2 * T, R, y), "with vehicles in cm readings scatter by"),
     "feet at the sensors": (lambda T, R, y: (T, R / 0.3048, y), "with sensors in feet readings scatter by"),
-    "kilometres at the sensors": (lambda T, R, y: (T, 1e-3 * R, y), "with sensors in km readings scatter by"),
+    "kilometres at the sensors": (
+        lambda T, R, y: (T, 1e-3 * R, y),
+        "with vehicles in mm (or sensors in km) readings scatter by",
+    ),
     "received power": (lambda T, R, y: (T, R, y - 90.0), "is it received power (dBm)"),
     "received level": (lambda T, R, y: (T, R, y + 104.0), "is it a received level (dB re 1 uPa)"),
     "loss": (lambda T, R, y: (T, R, 44.0 - y), "the SNR grows with distance; is snr_dB a loss"),

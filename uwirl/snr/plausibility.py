@@ -59,8 +59,8 @@ class _Links(NamedTuple):
     @classmethod
     def of(cls, readings: Readings, budget: LinkBudget) -> _Links:
         transmitter, receiver = (~readings.snr[0].isnan()).nonzero().unbind(-1)
-        ends = readings.transmitters[transmitter], readings.receivers[receiver]
-        return cls(*ends, readings.snr[0, transmitter, receiver], budget)
+        first, second = readings.transmitters[transmitter], readings.receivers[receiver]
+        return cls(first.cpu(), second.cpu(), readings.snr[0, transmitter, receiver].cpu(), budget)
 
     @property
     def length(self) -> Tensor:
@@ -102,12 +102,10 @@ def check_units(readings: Readings, budget: LinkBudget) -> None:
         return
     # A vertical cast has such positions too, but then the depths explain its readings.
     if float(links.length.max()) > SHORTEST_M and float(links.length.max() / links.length.min()) > 1.01:
-        metres = links.first.new_tensor([DEGREE_M, DEGREE_M, 1.0])
-        # The circles of longitude are shorter, x or y.
-        shorter = [metres.clone() for _ in range(2)]
-        for axis in range(2):
-            shorter[axis][axis] *= abs(math.cos(math.radians(float(places[0, 1 - axis]))))
-        if not any(links.is_better(links._replace(first=links.first * m, second=links.second * m)) for m in shorter):
+        # The circles of latitude are shorter, along x or y.
+        shorter = [DEGREE_M * abs(math.cos(math.radians(float(x)))) for x in places[0]]
+        units = _metres(shorter[1], DEGREE_M), _metres(DEGREE_M, shorter[0])
+        if not any(links.is_better(links._replace(first=links.first * m, second=links.second * m)) for m in units):
             return
     x, y = (f"{float(low[k]):.8g} to {float(high[k]):.8g}" for k in range(2))
     raise ImplausibleError(
@@ -169,16 +167,16 @@ def _lengths(links: _Links) -> Iterator[str]:
 
 def _positions(links: _Links) -> Iterator[str]:
     """Columns exchanged, axes turned, and other units of one end, if that explains the readings much better."""
-    swapped, units = links.second[:, [1, 0, 2]], {"km": 1e3, "cm": 1e-2, "mm": 1e-3, "feet": 0.3048}
-    turned = {
-        axis: links.second * links.second.new_tensor(sign) for axis, sign in (("x", (-1, 1, 1)), ("y", (1, -1, 1)))
+    first, second = links.first, links.second
+    others = {
+        "x and y of the sensors (or of the vehicles) exchanged": links._replace(second=second[:, [1, 0, 2]]),
+        "the sign of x of the sensors (or of the vehicles) turned": links._replace(second=second * _metres(-1.0, 1.0)),
+        "the sign of y of the sensors (or of the vehicles) turned": links._replace(second=second * _metres(1.0, -1.0)),
     }
-    others = {"x and y of the sensors (or of the vehicles) exchanged": links._replace(second=swapped)}
-    for axis, second in turned.items():
-        others[f"the sign of {axis} of the sensors (or of the vehicles) turned"] = links._replace(second=second)
-    for unit, m in units.items():
-        others[f"vehicles in {unit}"] = links._replace(first=links.first * m)
-        others[f"sensors in {unit}"] = links._replace(second=links.second * m)
+    # A log in millimetres at one end cannot be told from one in kilometres at the other.
+    for unit, other, m in (("feet", "", 0.3048), ("cm", "", 1e-2), ("mm", " (or {} in km)", 1e-3)):
+        others[f"vehicles in {unit}{other.format('sensors')}"] = links._replace(first=first * m)
+        others[f"sensors in {unit}{other.format('vehicles')}"] = links._replace(second=second * m)
     best = min(others, key=lambda name: others[name].misfit()[0])
     if links.is_better(others[best]):
         before, after = links.misfit()[0], others[best].misfit()[0]
@@ -186,6 +184,10 @@ def _positions(links: _Links) -> Iterator[str]:
             f"with {best} readings scatter by {after:.2g} dB around path loss instead of {before:.2g} dB; "
             "check units and columns of positions"
         )
+
+
+def _metres(x: float, y: float) -> Tensor:
+    return torch.tensor([x, y, 1.0], dtype=torch.float64)
 
 
 def _level(snr: Tensor) -> Iterator[str]:
