@@ -12,6 +12,7 @@ BIN := .venv/bin
 
 demo: .venv/.installed
 	$(BIN)/uwirl
+	@echo "The commands of uwirl are in .venv; for this terminal: source .venv/bin/activate"
 
 # On this machine alone, while runs go on.
 LOGDIR ?= outputs

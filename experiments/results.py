@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
+from omegaconf import OmegaConf
 
 from uwirl.study import run_folder
 
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 log = logging.getLogger("uwirl")
+
+# What --help begins with: the script's own docstring.
+OmegaConf.register_new_resolver("about", lambda: (sys.modules["__main__"].__doc__ or "").strip(), replace=True)
 
 
 def leave(metrics: Mapping[str, Any], figure: Figure | None = None) -> None:

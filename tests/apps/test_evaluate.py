@@ -99,7 +99,7 @@ def test_the_best_policy_costs_what_its_checkpoint_says(source, tmp_path):
 
 
 def test_elsewhere_with_more_vehicles_of_another_kind(source, tmp_path):
-    metrics = fly(tmp_path, f"checkpoint={source}", OBSTACLE, PAIR, "vehicle=bluerov2_heavy")
+    metrics = fly(tmp_path, f"checkpoint={source}", OBSTACLE, PAIR, "vehicle=bluerov2_heavy", "safety.mass_upper_kg=36")
     assert (metrics["status"], metrics["error"]) == ("complete", None)
     assert len(metrics["final_position_m"]) == len(metrics["estimate_K_dB"]) == 2
     assert metrics["min_obstacle_clearance_m"] < 20.0

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from dataclasses import asdict
+from pathlib import Path
 
 import hydra
 import pytest
@@ -183,3 +184,57 @@ def test_configuration_imports_no_torch():
     loaded = json.loads(result.stdout)
     assert "hydra" in loaded
     assert not {"torch", "numpy"} & set(loaded)
+
+
+def own_scenario(tmp_path: Path, text: str) -> str:
+    """scenario=bay, in a folder for --config-dir."""
+    (tmp_path / "scenario").mkdir()
+    (tmp_path / "scenario" / "bay.yaml").write_text(f"defaults: [single_relay]\n{text}")
+    return str(tmp_path)
+
+
+BAY = "obstacles: [{center_m: [0, 5], radius_m: 1, influence_m: 4}]\n"
+OTHER = "[{center_m: [1, 7], radius_m: 1, influence_m: 4}]"
+
+
+@pytest.mark.parametrize("line", ["scenario=bay", "scenario=bay experiment=none", "scenario=bay experiment=fig5_free"])
+def test_a_named_scenario_is_flown_as_it_is(tmp_path: Path, line: str):
+    config = compose(line.split(), own_scenario(tmp_path, BAY))
+    assert [obstacle.center_m for obstacle in config.scenario.obstacles] == [[0.0, 5.0]]
+
+
+def test_a_named_scenario_without_obstacles_has_none(tmp_path: Path):
+    assert compose(["scenario=bay"], own_scenario(tmp_path, "depth_m: 30\n")).scenario.obstacles == []
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (
+            "scenario=bay experiment=fig5_single",
+            "scenario: scenario.obstacles of scenario=bay is replaced by experiment=",
+        ),
+        ("scenario=bay experiment=random_layouts", "scenario: scenario.obstacles of scenario=bay is replaced by exp"),
+        (
+            "scenario=bay experiment=fig6_pair",
+            "scenario: scenario.start of scenario=bay is replaced by experiment=fig6",
+        ),
+        # A file with keys of the whole configuration.
+        (
+            "vehicle=bluerov2_heavy experiment=random_layouts",
+            "vehicle: scenario.duration_s of vehicle=bluerov2_heavy is replaced by experiment=random_layouts, which",
+        ),
+    ],
+)
+def test_an_experiment_that_replaces_what_is_named_is_refused(tmp_path: Path, line: str, message: str):
+    with pytest.raises(ConfigError) as caught:
+        compose(line.split(), own_scenario(tmp_path, BAY + "duration_s: 60\n"))
+    assert str(caught.value).startswith(message)
+
+
+def test_values_of_the_command_line_and_of_an_ablation_replace_both(tmp_path: Path):
+    own = own_scenario(tmp_path, BAY)
+    for words in (["scenario=bay", "experiment=fig5_single"], ["scenario=single_relay", "experiment=fig5_single"]):
+        config = compose([*words, f"scenario.obstacles={OTHER}"], own)
+        assert [obstacle.center_m for obstacle in config.scenario.obstacles] == [[1.0, 7.0]]
+    assert compose(["experience=virtual_links", "ablation=no_relabel"]).experience.relabel == 0

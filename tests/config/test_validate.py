@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from uwirl.config.cautions import cautions
 from uwirl.config.compose import compose
 from uwirl.config.validate import RK4_STABILITY, ConfigError, validate
 
@@ -197,6 +198,18 @@ RULES = [
     ("guidance.name=straight", "guidance.name", "choose it with guidance=straight"),
     ("safety.margin_m=-0.1", "safety.margin_m", "must be at least 0"),
     ("safety.alpha=0", "safety.alpha", "must be greater than 0"),
+    # bounds that do not cover the vehicle, and the advice that is printed
+    (
+        "vehicle.mass_kg=120",
+        "safety.mass_upper_kg",
+        "less than the vehicle's 132.7 kg in sway, added mass included, so",
+    ),
+    ("vehicle.mass_kg=20 safety.mass_upper_kg=32", "safety.mass_upper_kg", "set safety.mass_upper_kg=36"),
+    ("vehicle.mass_kg=1", "safety.mass_lower_kg", "more than the vehicle's 6.5 kg in surge, added mass included, so"),
+    ("vehicle=bluerov2_heavy experiment=fig6_pair", "safety.mass_upper_kg", "32.18 kg in heave"),
+    ("experiment=fig6_pair safety.separation_m=0.5", "safety.separation_m", "less than two scenario.vehicle_radius_m"),
+    ("safety.alpha=21", "safety.alpha", "must be at most 1 / scenario.dt_s = 20"),
+    ("safety=barrier safety.k_0=1.1", "safety.k_0", "must be at most safety.k_1^2 / 4 = 1"),
     ("safety.mass_upper_kg=5", "safety.mass_upper_kg", "lies below safety.mass_lower_kg = 12"),
     (
         "safety.brake_force_N=90",
@@ -223,7 +236,7 @@ ALLOWED = [
     "scenario.message_period_s=0.05",
     "estimator.robust=true",
     "vehicle.linear_damping=[0,0,0,0]",
-    "vehicle.added_mass=[0,0,0,0] scenario.dt_s=0.025",
+    "vehicle.added_mass=[0,0,0,0] scenario.dt_s=0.025 safety.mass_lower_kg=11.5",
     "vehicle.weight_N=114.8",
     "scenario.dt_s=0.0625 planner.window_s=0.5 planner.stride_s=0.25 vehicle.tau_max=[85,85,120,20]",
     "basis.length_scales_m=[inf]",
@@ -243,6 +256,11 @@ ALLOWED = [
     f"{HOVER_AND_LEG}=20",
     "planner.actor_sign=printed",
     "dtype=float32",
+    "vehicle.mass_kg=120 safety.mass_upper_kg=146",
+    "vehicle.mass_kg=1 safety.mass_lower_kg=5.9",
+    "vehicle=bluerov2_heavy experiment=fig6_pair safety.mass_upper_kg=36",
+    # Nothing to guard against.
+    "experiment=fig5_free vehicle.mass_kg=120",
     # Only a learner needs experience.
     "planner=pd experience.leg_s=0",
 ]
@@ -261,6 +279,26 @@ def test_rule(overrides: str, key: str, fragment: str):
 @pytest.mark.parametrize("overrides", ALLOWED)
 def test_just_within_the_rules(overrides: str):
     validate(compose(overrides.split()))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "sentence"),
+    [
+        ("safety=barrier", ""),
+        (
+            "safety=barrier vehicle.mass_kg=20",
+            "safety.inertia_kg assumes 17 kg in surge, where the vehicle has 25.5 kg",
+        ),
+        ("experiment=fig6_pair", ""),
+        ("experiment=fig6_pair scenario.start=[[9,9,-8,0],[-9,-9,-8,0]]", "vehicle 1 starts nearer to the source than"),
+    ],
+)
+def test_cautions(overrides: str, sentence: str):
+    config = compose(overrides.split())
+    validate(config)
+    found = " ".join(cautions(config))
+    assert sentence in found
+    assert bool(sentence) == bool(found)
 
 
 def test_step_limit_is_rk4s():

@@ -188,7 +188,7 @@ class Program:
                 try:
                     config = compose.to_object(composed)
                     groups = Groups(GlobalHydra.instance().config_loader(), self.primary)
-                    compose.check_composed(composed, choices, groups)
+                    compose.check_composed(composed, choices, groups, here.overrides.task)
                     ready = self.prepare(config, sweep)
                 except (ValueError, OSError) as error:
                     # One command line was checked before, so this is a job of a sweep.

@@ -10,6 +10,7 @@ from typing import Any
 
 from uwirl.apps.program import Program
 from uwirl.config.checks import ConfigError
+from uwirl.config.groups import for_what_is_named
 from uwirl.config.schema import Config
 
 log = logging.getLogger("uwirl")
@@ -20,6 +21,10 @@ class Run(Program):
 
     name = "uwirl"
     files = ("resume", "init_from")
+
+    def overrides(self, flags: argparse.Namespace) -> list[str]:
+        """Without the default experiment where a scenario is named."""
+        return for_what_is_named(flags.overrides)
 
     def prepare(self, config: Config, sweep: bool) -> tuple[Config, str]:
         """The settings, and the hash of a run with them."""

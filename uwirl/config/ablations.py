@@ -1,14 +1,15 @@
-"""An ablation must hold: where another override undoes what it declares, the table it stands in would lie."""
+"""What is chosen must hold: an ablation against all others, a group's option against the values of an experiment."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
 from uwirl.config.checks import ConfigError
 from uwirl.config.groups import Groups
+from uwirl.config.overrides import key_of
 
 
 def check_ablation(config: DictConfig, choices: Mapping[str, Any], groups: Groups) -> None:
@@ -32,8 +33,39 @@ def check_ablation(config: DictConfig, choices: Mapping[str, Any], groups: Group
             raise ConfigError(group, problem)
 
 
+def check_experiment(choices: Mapping[str, Any], groups: Groups, words: Sequence[str]) -> None:
+    """Compare the options that a command line names with the values that its experiment sets in their place.
+
+    Args:
+        choices: Hydra's, option by group.
+        groups: that find the files, the user's own too.
+        words: the command line, whose own values replace both, as those of an ablation do.
+
+    Raises:
+        ConfigError: a value of a named option is replaced by the experiment's.
+    """
+    named = set(map(key_of, words))
+    experiment = choices.get("experiment")
+    theirs = dict(_declared(f"experiment/{experiment}", groups)) if experiment else {}
+    after = named | dict(_declared(f"ablation/{choices['ablation']}", groups)).keys() if experiment else named
+    for group in sorted(named & groups.defaults.keys() - {"experiment", "ablation"}):
+        option = choices.get(group)
+        if theirs.get(f"/{group}") == option:
+            # That one the experiment was made for.
+            continue
+        folder, _, package = group.partition("@")
+        prefix = "" if groups.is_global(f"{folder}/{option}") else f"{package or folder}."
+        for key, value in _declared(f"{folder}/{option}", groups):
+            key = prefix + key
+            if theirs.get(key, value) != value and not any(name == key or name.startswith(f"{key}.") for name in after):
+                problem = (
+                    f"{key} of {group}={option} is replaced by experiment={experiment}, which sets {theirs[key]!r}"
+                )
+                raise ConfigError(group, f"{problem}; choose experiment=none, or say which with {key}=VALUE")
+
+
 def _declared(path: str, groups: Groups) -> Iterator[tuple[str, Any]]:
-    """What a file of an ablation sets: `/group` and option for groups, dotted key and value for values."""
+    """What a file sets: `/group` and option for groups, dotted key and value for values."""
     values: Any = OmegaConf.to_container(groups.load(path) or OmegaConf.create())
     for entry in values.pop("defaults", []):
         if isinstance(entry, dict):

@@ -25,9 +25,9 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import InterpolationResolutionError, MissingMandatoryValue, OmegaConfBaseException
 from yaml import YAMLError
 
-from uwirl.config.ablations import check_ablation
+from uwirl.config.ablations import check_ablation, check_experiment
 from uwirl.config.checks import ConfigError
-from uwirl.config.groups import Groups, is_schema, none_of
+from uwirl.config.groups import Groups, for_what_is_named, is_schema, none_of
 from uwirl.config.keys import Keys, field_types
 from uwirl.config.schema import Config, register
 
@@ -97,7 +97,7 @@ def compose(overrides: Sequence[str] = (), config_dir: str | None = None) -> Con
         ConfigError: unknown keys, groups, options or types, or an ablation that is undone.
     """
     register()
-    config = to_object(composed("config", overrides, config_dir))
+    config = to_object(composed("config", for_what_is_named(overrides), config_dir))
     assert isinstance(config, Config)
     return config
 
@@ -133,7 +133,7 @@ def composed(
         if not whole:
             with open_dict(config):
                 choices = config.pop("hydra").runtime.choices
-            check_composed(config, choices, groups if ablation else None)
+            check_composed(config, choices, groups if ablation else None, words)
         return config
 
 
@@ -172,13 +172,14 @@ def _set(config: DictConfig, override: Override, keys: Keys) -> None:
         raise ConfigError(key, first_line(error)) from None
 
 
-def check_composed(config: DictConfig, choices: Mapping[str, Any], groups: Groups | None) -> None:
-    """What Hydra lets pass: keys that no schema has, lists where numbers should be, ablations that are undone.
+def check_composed(config: DictConfig, choices: Mapping[str, Any], groups: Groups | None, words: Sequence[str]) -> None:
+    """What Hydra lets pass: keys that no schema has, lists where numbers should be, choices that are undone.
 
     Args:
         config: composed, without Hydra's own settings.
         choices: Hydra's, option by group.
-        groups: that the ablation is found in; without, it need not hold.
+        groups: that choices are found in; without, they need not hold.
+        words: the command line.
 
     Raises:
         ConfigError: the first of them.
@@ -187,6 +188,7 @@ def check_composed(config: DictConfig, choices: Mapping[str, Any], groups: Group
     Keys.of(config, names).check(OmegaConf.to_container(config), node=config)
     if groups is not None:
         check_ablation(config, choices, groups)
+        check_experiment(choices, groups, words)
 
 
 def to_object(composed: DictConfig) -> Any:

@@ -12,6 +12,7 @@ from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
+from hydra.plugins.config_source import ConfigResult
 from omegaconf import DictConfig
 from yaml import YAMLError
 
@@ -59,6 +60,12 @@ def with_path(word: str) -> str:
     return f"{key}={quoted(path)}" if named and value != path else word
 
 
+def for_what_is_named(words: Sequence[str]) -> list[str]:
+    """The command line without the default experiment where a scenario is named, whose values it would replace."""
+    named = set(map(key_of, words))
+    return [*words, "experiment=none"] if "scenario" in named and "experiment" not in named else list(words)
+
+
 def none_of(key: str, option: Any, options: Sequence[str]) -> ConfigError:
     """A group has no such option; the nearest are suggested."""
     near = did_you_mean([f"{key}={name}" for name in similar(str(option), options)])
@@ -100,14 +107,22 @@ class Groups:
         Raises:
             ConfigError: it is no YAML.
         """
+        found = self._found(path)
+        return found.config if found and isinstance(found.config, DictConfig) else None
+
+    def is_global(self, path: str) -> bool:
+        """Whether the keys of a file are those of the whole configuration, not of its group's section."""
+        found = self._found(path)
+        return found is not None and found.header.get("package") == "_global_"
+
+    def _found(self, path: str) -> ConfigResult | None:
         for source in self.loader.get_sources():
             if source.scheme() != "structured" and source.is_config(path):
                 try:
-                    config = source.load_config(path).config
+                    return source.load_config(path)
                 except YAMLError as error:
                     text = " ".join(str(error).split())
                     raise ConfigError(path.rpartition("/")[0] or path, f"{path}.yaml cannot be read: {text}") from None
-                return config if isinstance(config, DictConfig) else None
         return None
 
     def holders(self, key: str) -> list[str]:

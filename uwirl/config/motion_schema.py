@@ -109,6 +109,11 @@ class BarrierGuardConfig(GuardConfig, names=(SafetyName.barrier,), file="barrier
     k_0: float = ruled(positive)  # 1/s^2; of the same
     inertia_kg: list[float] = ruled(numbers(3, positive))  # kg; mass and added mass in surge, sway, heave
 
+    def problems(self) -> Iterator[tuple[str, str]]:
+        # Else h swings through zero.
+        if self.k_1**2 < 4.0 * self.k_0:
+            yield "k_0", f"must be at most safety.k_1^2 / 4 = {self.k_1**2 / 4.0:g}, or the barrier is crossed"
+
 
 @dataclass
 class EnergyGuardConfig(GuardConfig, names=(SafetyName.energy,), file="energy_schema"):

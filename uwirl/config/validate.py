@@ -139,7 +139,7 @@ def _chain(config: Config) -> Problems:
 
 
 def _guard(config: Config) -> Problems:
-    """Vehicles apart at the start; and what weight and current leave of the thrust must suffice for braking."""
+    """What the guarantee rests on: bounds that cover the vehicle, and thrust left for braking."""
     scenario, vehicle, safety = config.scenario, config.vehicle, config.safety
     if not isinstance(safety, GuardConfig):
         return
@@ -147,7 +147,21 @@ def _guard(config: Config) -> Problems:
         if math.dist(one[:3], other[:3]) < safety.separation_m:
             problem = f"is closer than safety.separation_m = {safety.separation_m:g} m to vehicle {i}"
             yield f"scenario.start[{j}]", problem
+    hulls = 2.0 * scenario.vehicle_radius_m
+    if len(scenario.start) > 1 and safety.separation_m < hulls:
+        yield (
+            "safety.separation_m",
+            f"{safety.separation_m:g} m is less than two scenario.vehicle_radius_m = {hulls:g} m",
+        )
     if isinstance(safety, EnergyGuardConfig):
+        if safety.alpha * scenario.dt_s > 1.0:
+            yield (
+                "safety.alpha",
+                f"must be at most 1 / scenario.dt_s = {1.0 / scenario.dt_s:g}: a control is held so long",
+            )
+        # Nothing is near one vehicle in free water.
+        if scenario.obstacles or scenario.layouts or len(scenario.start) > 1:
+            yield from _inertia_bounds(safety, guarded_inertia(config))
         thrust = min(vehicle.tau_max[:2])
         if len(scenario.start) > 1:
             thrust = min(thrust, vehicle.tau_max[2] - abs(vehicle.weight_N - vehicle.buoyancy_N))
@@ -155,6 +169,23 @@ def _guard(config: Config) -> Problems:
         if safety.brake_force_N > thrust:
             left = "of vehicle.tau_max that weight and current leave for braking"
             yield "safety.brake_force_N", f"exceeds the {thrust:.3g} N {left}"
+
+
+def guarded_inertia(config: Config) -> dict[str, float]:
+    """Mass and added mass by the axes that a guard brakes, kg; heave where there are several vehicles."""
+    axes = AXES[: 3 if len(config.scenario.start) > 1 else 2]
+    return {axis: config.vehicle.mass_kg + added for axis, added in zip(axes, config.vehicle.added_mass, strict=False)}
+
+
+def _inertia_bounds(safety: EnergyGuardConfig, inertia: dict[str, float]) -> Problems:
+    heavy, light = max(inertia, key=inertia.__getitem__), min(inertia, key=inertia.__getitem__)
+    void = "added mass included, so that the guard guarantees nothing; set"
+    if inertia[heavy] > safety.mass_upper_kg:
+        problem = f"{safety.mass_upper_kg:g} kg is less than the vehicle's {inertia[heavy]:g} kg in {heavy}, {void}"
+        yield "safety.mass_upper_kg", f"{problem} safety.mass_upper_kg={math.ceil(1.1 * inertia[heavy])}"
+    if inertia[light] < safety.mass_lower_kg:
+        problem = f"{safety.mass_lower_kg:g} kg is more than the vehicle's {inertia[light]:g} kg in {light}, {void}"
+        yield "safety.mass_lower_kg", f"{problem} safety.mass_lower_kg={0.9 * inertia[light]:.2g}"
 
 
 def _obstacles(config: Config) -> Problems:

@@ -16,6 +16,7 @@ import torch
 
 from uwirl import build
 from uwirl.algorithm import Estimated, Event, Planned, algorithm_1
+from uwirl.config.cautions import cautions
 from uwirl.config.overrides import effective
 from uwirl.config.schema import Config
 from uwirl.motion.irl_planner import IrlPlanner
@@ -55,6 +56,8 @@ def run(config: Config, experiment: str, folder: Path, overrides: Sequence[str] 
         settings = replace(config, resume=None)
         metrics |= {"overrides": effective(overrides), "config_hash": origin.config_hash(settings)}
         run_folder.write_config(folder, settings)
+        for sentence in cautions(settings):
+            warn(sentence)
         records, config_hash = origin.records(), metrics["config_hash"]
         checkpoints = Checkpoints(folder, settings, config_hash, overrides, records, interruption)
         with TensorBoard(folder / "tb" if config.logging.tensorboard else None) as board:
@@ -149,6 +152,8 @@ def evaluate(config: Config, experiment: str, folder: Path, path: Path) -> dict[
         metrics["config_hash"] = run_folder.config_hash(config, checkpoint.digest(path))
         metrics |= {"checkpoint": str(path), "checkpoint_iteration": content["iteration"]}
         run_folder.write_config(folder, config)
+        for sentence in cautions(config):
+            warn(sentence)
         metrics |= _evaluated(config, folder, path, content)
 
     return recorded(work, experiment, config.seed, folder)
