@@ -213,7 +213,9 @@ def _guidance(config: Config) -> Problems:
         sides = [max(p[axis] for p in places) - min(p[axis] for p in places) for axis in (0, 1)]
         nodes = math.prod(side / guidance.spacing_m for side in sides) * len(scenario.start)
         if nodes > MAX_NODES:
-            problem = f"makes maps of {nodes:,.0f} nodes, of which memory holds {MAX_NODES:,}; choose a larger one"
+            least = 1.01 * guidance.spacing_m * math.sqrt(nodes / MAX_NODES)
+            right = f"choose at least {least:.2g} m, or guidance=straight"
+            problem = f"makes maps of {nodes:,.0f} nodes, of which memory holds {MAX_NODES:,}; {right}"
             yield "guidance.spacing_m", problem
 
 
