@@ -18,9 +18,9 @@ from uwirl.study import shadowing
 BRIEF = ["planner=pd", "planner.calibration_s=5", "scenario.duration_s=1"]
 
 
-@pytest.mark.parametrize("k", [0, 16, 31, 45])
+@pytest.mark.parametrize("k", [0, 16, 31, 45, 48])
 def test_extreme_worlds_fly(k: int):
-    """0.5 m flat, 10 vehicles on 13 m, 263 m vertical, 4 km for two."""
+    """0.5 m flat, 10 vehicles on 13 m, 263 m vertical, 4 km for two, 8 km flat."""
     config = compose([*world(k, 50).overrides, *BRIEF])
     validate(config)
     env = build.make_relay(config)
@@ -35,9 +35,9 @@ def test_extreme_worlds_fly(k: int):
     assert 0.0 < capacities["capacity_initial_kbps"] <= capacities["capacity_optimal_kbps"]
 
 
-@pytest.mark.parametrize(("k", "key"), [(1, "scenario.start"), (5, "scenario.start"), (48, "guidance.spacing_m")])
+@pytest.mark.parametrize(("k", "key"), [(1, "scenario.start"), (5, "scenario.start"), (47, "guidance.spacing_m")])
 def test_impossible_worlds_are_refused(k: int, key: str):
-    """More vehicles than have room, and a map of obstacles along 8 km."""
+    """More vehicles than have room, and maps for three of them along 6.7 km."""
     with pytest.raises(ConfigError) as caught:
         validate(compose([*world(k, 50).overrides, *BRIEF]))
     assert caught.value.key == key

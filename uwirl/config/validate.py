@@ -208,7 +208,17 @@ def _obstacles(config: Config) -> Problems:
 def _guidance(config: Config) -> Problems:
     """Maps that memory holds."""
     guidance, scenario = config.guidance, config.scenario
-    if isinstance(guidance, GeodesicConfig):
+    planners = (config.planner, config.baseline)
+    # One vehicle in free and still water is guided straight, unless a basis or an optimiser uses the map.
+    mapped = (
+        scenario.obstacles
+        or len(scenario.start) > 1
+        or scenario.layouts
+        or current_speed(scenario) > 0.0
+        or config.basis.name == BasisName.geodesic
+        or any(isinstance(planner, TrajectoryOptimizationConfig) for planner in planners)
+    )
+    if isinstance(guidance, GeodesicConfig) and mapped:
         places = [scenario.source_m, scenario.destination_m, *scenario.start, *(o.center_m for o in scenario.obstacles)]
         sides = [max(p[axis] for p in places) - min(p[axis] for p in places) for axis in (0, 1)]
         nodes = math.prod(side / guidance.spacing_m for side in sides) * len(scenario.start)
