@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from uwirl.config.checks import ConfigError
 from uwirl.config.compose import composed, to_object
 from uwirl.config.estimate_schema import register
+from uwirl.config.overrides import key_of
 from uwirl.config.suggestions import similar
 from uwirl.config.validate import validate
 
@@ -26,7 +29,7 @@ TYPOS = [
         "scenario.obstacles.radus_m",
         "'scenario.obstacles.radius_m'",
     ),
-    (["scenario.obstacles.0.radus_m=3"], "scenario.obstacles[0].radus_m", "did you mean 'scenario.obstacles[0].radius"),
+    (["scenario.obstacles.0.radus_m=3"], "scenario.obstacles.0.radus_m", "did you mean 'scenario.obstacles.0.radius"),
     (["chanel.n=3"], "chanel.n", "did you mean 'channel.n'?"),
     (["sed=3"], "sed", "did you mean 'seed'?"),
     (["zeta_dB=3"], "zeta_dB", "did you mean 'channel.zeta_dB'?"),
@@ -48,7 +51,7 @@ TYPOS = [
     (["+chanel.zeta_dB=3"], "chanel", "did you mean 'channel'?"),
     (["+nothing.like.it=3"], "nothing", "no such key (there are scenario, channel"),
     (["+channel.zeta_dB=3"], "channel.zeta_dB", "is there already; drop the +"),
-    (["+scenario.obstacles.0.colour=red"], "scenario.obstacles[0].colour", "has center_m, radius_m, influence_m"),
+    (["+scenario.obstacles.0.colour=red"], "scenario.obstacles.0.colour", "has center_m, radius_m, influence_m"),
     # A group.
     (["chanel=paper"], "chanel", "did you mean 'channel'?"),
     (["experimnt=fig5_free"], "experimnt", "did you mean 'experiment'"),
@@ -75,16 +78,16 @@ TYPOS = [
     (["logging.figures=maybe"], "logging.figures", "must be true or false, got maybe"),
     (["channel.frequency_khz=high"], "channel.frequency_khz", "must be a number, or null, got high"),
     (["cost.R=3"], "cost.R", "must be a list of numbers, got 3"),
-    (["cost.R=[1,1,a,1]"], "cost.R[2]", "is an entry of a list of numbers"),
-    (["basis.length_scales_m=[1,[2]]"], "basis.length_scales_m[1]", "is an entry of a list of numbers, which holds no"),
+    (["cost.R=[1,1,a,1]"], "cost.R.2", "is an entry of a list of numbers"),
+    (["basis.length_scales_m=[1,[2]]"], "basis.length_scales_m.1", "is an entry of a list of numbers, which holds no"),
     (["scenario.obstacles=${seed}"], "scenario.obstacles", "must be a list of groups of settings, but refers to 0"),
     (["scenario.start=5"], "scenario.start", "must be a list, got 5"),
     (["channel.water=warm"], "channel.water", "is a group of settings, which takes no single value"),
-    (["scenario.obstacles.5.radius_m=3"], "scenario.obstacles[5]", "is beyond the list's 2 entries"),
-    (["cost.R.7=3"], "cost.R[7]", "is beyond the list's entries"),
+    (["scenario.obstacles.5.radius_m=3"], "scenario.obstacles.5", "is beyond the list's 2 entries"),
+    (["cost.R.7=3"], "cost.R.7", "is beyond the list's entries"),
     # A missing value, or one that leads nowhere.
     (["seed=???"], "seed", "has no value; give it one with seed=VALUE"),
-    (["scenario.obstacles=[{center_m:[1,2],radius_m:3}]"], "scenario.obstacles[0].influence_m", "has no value"),
+    (["scenario.obstacles=[{center_m:[1,2],radius_m:3}]"], "scenario.obstacles.0.influence_m", "has no value"),
     (["seed=${nowhere}"], "seed", "refers to what is not there: Interpolation key 'nowhere' not found"),
     (["scenario.layouts.count=3"], "scenario.layouts", "is null here, so none of it can be set; experiment=random_lay"),
     (["scenario.layouts={count:3}"], "scenario.layouts", "is null here"),
@@ -231,3 +234,20 @@ def test_files_of_the_user(tmp_path, name: str, content: str, override: str, key
 )
 def test_similar(name: str, names: list[str], nearest: list[str]):
     assert similar(name, names)[: max(len(nearest), 1)] == nearest
+
+
+PRINTED = re.compile(r"(?:with|as in|choose|mean|or) '?(~?\+{0,2}[\w./@]+=[\w./-]+)")
+VALUES = {"scenario.obstacles.0.influence_m": "9", "seed": "3", "safety.mass_lower_kg": "10"}
+
+
+@pytest.mark.parametrize(
+    "overrides", [row[0] for row in TYPOS if row[0][0] not in ("seed", "=3", "seed:3")], ids=lambda row: " ".join(row)
+)
+def test_advice_works_as_printed(make_config, overrides: list[str]):
+    with pytest.raises(ConfigError) as caught:
+        validate(make_config(*overrides))
+    for advice in PRINTED.findall(str(caught.value)):
+        key = key_of(advice)
+        # In the place of what was wrong.
+        others = [word for word in overrides if key_of(word) not in (key, caught.value.key) or word.endswith("]")]
+        make_config(*others, advice.replace("VALUE", VALUES.get(key, "1")))

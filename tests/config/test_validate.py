@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from uwirl.config.cautions import cautions
 from uwirl.config.compose import compose
+from uwirl.config.groups import parsed
 from uwirl.config.validate import RK4_STABILITY, ConfigError, validate
 
 PAIR = "scenario.start=[[0,0,-5,0],[5,5,-5,0]]"
@@ -31,7 +34,7 @@ RULES = [
     ("scenario.source_m=[0,0,1]", "scenario.source_m", "is not in the water, -20 <= z <= 0"),
     ("scenario.start=[[1,2,-21,0]]", "scenario.start", "is not in the water"),
     ("scenario.depth_m=0", "scenario.depth_m", "must be greater than 0"),
-    ("scenario.start=[[0,0,-5,0],[0.5,0,-5,0]]", "scenario.start[1]", "is closer than safety.separation_m = 1 m to"),
+    ("scenario.start=[[0,0,-5,0],[0.5,0,-5,0]]", "scenario.start.1", "is closer than safety.separation_m = 1 m to"),
     ("scenario.current_mps=[0.1]", "scenario.current_mps", "needs 3 finite numbers"),
     ("scenario.current_mps=[2,0,0]", "scenario.current_mps", "more than vehicle.tau_max can hold against"),
     ("scenario.current_std_mps=-1", "scenario.current_std_mps", "must be at least 0"),
@@ -50,15 +53,15 @@ RULES = [
     ("basis=geodesic", "experience.relabel", "another link needs another map"),
     ("basis=geodesic guidance=straight", "guidance.name", "learns how to fly with guidance=geodesic"),
     ("scenario.start=[]", "scenario.start", "needs at least one vehicle [x, y, z, psi]"),
-    ("scenario.start=[1,2,-3,0]", "scenario.start[0]", "needs 4 finite numbers, got 1"),
+    ("scenario.start=[1,2,-3,0]", "scenario.start.0", "needs 4 finite numbers, got 1"),
     (f"{PAIR} {SHORT_LINK}", "scenario.start", "targets of 2 vehicles 0.667 m apart on the link of 2 m, closer than"),
     (f"safety=none {PAIR} {SHORT_LINK}", "scenario.start", "= 0.7 m; 1 would fit"),
-    ("scenario.start=[[1,2,-3]]", "scenario.start[0]", "needs 4 finite numbers"),
-    ("scenario.start=[[0,0,-5,0],[1,2,inf,0]]", "scenario.start[1]", "needs 4 finite numbers"),
-    ("scenario.start=[[1,2,-3,east]]", "scenario.start[0]", "needs 4 finite numbers"),
-    ("scenario.start=[[-30,-30,-8,1]]", "scenario.start[0]", "coincides with the source"),
-    ("scenario.start=[[30,30,-8,1]]", "scenario.start[0]", "coincides with the destination"),
-    ("scenario.start=[[0,0,-5,0],[0,0,-5,1]]", "scenario.start[1]", "coincides with vehicle 0"),
+    ("scenario.start=[[1,2,-3]]", "scenario.start.0", "needs 4 finite numbers"),
+    ("scenario.start=[[0,0,-5,0],[1,2,inf,0]]", "scenario.start.1", "needs 4 finite numbers"),
+    ("scenario.start=[[1,2,-3,east]]", "scenario.start.0", "needs 4 finite numbers"),
+    ("scenario.start=[[-30,-30,-8,1]]", "scenario.start.0", "coincides with the source"),
+    ("scenario.start=[[30,30,-8,1]]", "scenario.start.0", "coincides with the destination"),
+    ("scenario.start=[[0,0,-5,0],[0,0,-5,1]]", "scenario.start.1", "coincides with vehicle 0"),
     ("scenario.dt_s=0", "scenario.dt_s", "must be greater than 0, got 0"),
     ("scenario.dt_s=inf", "scenario.dt_s", "must be greater than 0, got inf"),
     ("scenario.duration_s=-80", "scenario.duration_s", "must be greater than 0, got -80"),
@@ -73,12 +76,12 @@ RULES = [
     ("scenario.sensors=16.5", "scenario.sensors", "must be a number or a list of positions"),
     ("scenario.sensors=true", "scenario.sensors", "must be a number or a list of positions"),
     ("scenario.sensors=[[0,0,-8],[5,0,-8]]", "scenario.sensors", "2 sensors cannot determine"),
-    (SENSORS.format("[1,2]"), "scenario.sensors[2]", "needs 3 finite numbers"),
-    (SENSORS.format("7"), "scenario.sensors[2]", "needs 3 finite numbers, got 7"),
-    (SENSORS.format("[a,b,c]"), "scenario.sensors[2]", "needs 3 finite numbers"),
-    (SENSORS.format("[29.5,29.5,0]"), "scenario.sensors[2]", "lies on vehicle 0"),
-    (SENSORS.format("[-30,-30,-8]"), "scenario.sensors[2]", "lies on the source"),
-    (SENSORS.format("[30,30,-8]"), "scenario.sensors[2]", "lies on the destination"),
+    (SENSORS.format("[1,2]"), "scenario.sensors.2", "needs 3 finite numbers"),
+    (SENSORS.format("7"), "scenario.sensors.2", "needs 3 finite numbers, got 7"),
+    (SENSORS.format("[a,b,c]"), "scenario.sensors.2", "needs 3 finite numbers"),
+    (SENSORS.format("[29.5,29.5,0]"), "scenario.sensors.2", "lies on vehicle 0"),
+    (SENSORS.format("[-30,-30,-8]"), "scenario.sensors.2", "lies on the source"),
+    (SENSORS.format("[30,30,-8]"), "scenario.sensors.2", "lies on the destination"),
     (
         "scenario.start=[[0,0,-5,0]] scenario.sensors=[[2,0,-5],[0,2,-5],[0,0,-7]]",
         "scenario.sensors",
@@ -186,11 +189,11 @@ RULES = [
     ("scenario.dt_s=1e-310", "scenario.duration_s", "more than 1,000,000 steps"),
     ("seed=-1", "seed", "must lie in [0, 2^63)"),
     ("device=gpu", "device", "'gpu' is none of cpu, cuda, cuda:N, mps"),
-    (f"{CYLINDER.format('[29.5,28.5]', 1)}", "scenario.obstacles[0]", "to the start of vehicle 0"),
-    (f"{CYLINDER.format('[1,0]', 1)}", "scenario.obstacles[0]", "to the target"),
-    (f"{CYLINDER.format('[9,9]', 0)}", "scenario.obstacles[0].radius_m", "must be greater than 0"),
-    (f"{CYLINDER.format('[9,9]', 7)}", "scenario.obstacles[0].influence_m", "must exceed radius_m = 7"),
-    (f"{CYLINDER.format('[9]', 1)}", "scenario.obstacles[0].center_m", "needs 2 finite numbers"),
+    (f"{CYLINDER.format('[29.5,28.5]', 1)}", "scenario.obstacles.0", "to the start of vehicle 0"),
+    (f"{CYLINDER.format('[1,0]', 1)}", "scenario.obstacles.0", "to the target"),
+    (f"{CYLINDER.format('[9,9]', 0)}", "scenario.obstacles.0.radius_m", "must be greater than 0"),
+    (f"{CYLINDER.format('[9,9]', 7)}", "scenario.obstacles.0.influence_m", "must exceed radius_m = 7"),
+    (f"{CYLINDER.format('[9]', 1)}", "scenario.obstacles.0.center_m", "needs 2 finite numbers"),
     ("scenario.vehicle_radius_m=0", "scenario.vehicle_radius_m", "must be greater than 0"),
     ("cost.beta_2=-1", "cost.beta_2", "must be at least 0"),
     ("guidance.gain=0", "guidance.gain", "must be greater than 0"),
@@ -274,6 +277,10 @@ def test_rule(overrides: str, key: str, fragment: str):
     assert str(caught.value).startswith(f"{key}: ")
     assert fragment in str(caught.value)
     assert "\n" not in str(caught.value)
+    # Keys and advice can be typed as they are printed.
+    assert parsed(f"{key}=1").key_or_group == key
+    for advice in re.findall(r"(?:set|add|choose|with) ([\w./@]+=[\w.-]+)", str(caught.value)):
+        compose([*overrides.split(), advice])
 
 
 @pytest.mark.parametrize("overrides", ALLOWED)

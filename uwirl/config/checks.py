@@ -55,7 +55,7 @@ class Section:
             if problem:
                 raise ConfigError(name, problem)
             parts = enumerate(value) if isinstance(value, list) else ()
-            for at, part in ((name, value), *((f"{name}[{i}]", item) for i, item in parts)):
+            for at, part in ((name, value), *((f"{name}.{i}", item) for i, item in parts)):
                 if isinstance(part, Section):
                     part.check(at)
         for name, problem in self.problems():

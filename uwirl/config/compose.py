@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
@@ -200,7 +201,9 @@ def to_object(composed: DictConfig) -> Any:
     try:
         return _plain(OmegaConf.to_object(composed))
     except MissingMandatoryValue as error:
-        raise ConfigError(str(error.full_key), f"has no value; give it one with {error.full_key}=VALUE") from None
+        # OmegaConf writes entries of lists as no command line takes them.
+        key = re.sub(r"\[(\d+)\]", r".\1", str(error.full_key))
+        raise ConfigError(key, f"has no value; give it one with {key}=VALUE") from None
     except InterpolationResolutionError as error:
         raise ConfigError(str(error.full_key), f"refers to what is not there: {first_line(error)}") from None
     except OmegaConfBaseException as error:

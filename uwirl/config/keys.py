@@ -105,11 +105,11 @@ class Keys:
             for i, part in value.items():
                 if not str(i).isdigit() or int(i) >= len(node):
                     entries = f"{len(node)} entries" if isinstance(part, dict) else "entries"
-                    raise ConfigError(f"{key}[{i}]", f"is beyond the list's {entries}; set the whole list")
-                self._check_item(part, wanted, f"{key}[{i}]", _child(node, int(i)))
+                    raise ConfigError(f"{key}.{i}", f"is beyond the list's {entries}; set the whole list")
+                self._check_item(part, wanted, f"{key}.{i}", _child(node, int(i)))
         elif isinstance(value, list) and typing.get_origin(wanted) is list:
             for i, part in enumerate(value):
-                self._check_item(part, wanted, f"{key}[{i}]" if typing.get_args(wanted)[0] in NODES else key)
+                self._check_item(part, wanted, f"{key}.{i}" if typing.get_args(wanted)[0] in NODES else key)
         elif isinstance(value, dict) and (wanted is Any or typing.get_origin(wanted) is dict):
             for name, part in value.items():
                 if isinstance(node, DictConfig) and name not in node and not self.added:

@@ -146,7 +146,7 @@ def _guard(config: Config) -> Problems:
     for (i, one), (j, other) in combinations(enumerate(scenario.start), 2):
         if math.dist(one[:3], other[:3]) < safety.separation_m:
             problem = f"is closer than safety.separation_m = {safety.separation_m:g} m to vehicle {i}"
-            yield f"scenario.start[{j}]", problem
+            yield f"scenario.start.{j}", problem
     hulls = 2.0 * scenario.vehicle_radius_m
     if len(scenario.start) > 1 and safety.separation_m < hulls:
         yield (
@@ -202,7 +202,7 @@ def _obstacles(config: Config) -> Problems:
             gap = math.dist(position[:2], obstacle.center_m) - obstacle.radius_m - scenario.vehicle_radius_m
             if gap < margin:
                 problem = f"leaves {gap:.3g} m to {name}, the guard needs {margin:g} m; move one of them"
-                yield f"scenario.obstacles[{i}]", problem
+                yield f"scenario.obstacles.{i}", problem
 
 
 def _guidance(config: Config) -> Problems:

@@ -100,10 +100,10 @@ class ScenarioConfig(Section):
         for i, eta in enumerate(self.start):
             problem = numbers(4)(eta)
             if problem:
-                yield f"start[{i}]", problem
+                yield f"start.{i}", problem
             for name, position in self._nodes(i).items():
                 if math.dist(eta[:3], position) < 1e-6:
-                    yield f"start[{i}]", f"{eta[:3]} coincides with {name}, where the SNR is infinite; move it away"
+                    yield f"start.{i}", f"{eta[:3]} coincides with {name}, where the SNR is infinite; move it away"
         for key, places in (
             ("source_m", [self.source_m]),
             ("destination_m", [self.destination_m]),
@@ -132,10 +132,10 @@ class ScenarioConfig(Section):
         for j, sensor in enumerate(sensors):
             problem = numbers(3)(sensor)
             if problem:
-                yield f"sensors[{j}]", problem
+                yield f"sensors.{j}", problem
             for name, position in self._nodes(len(self.start)).items():
                 if math.dist(position, sensor) < 1e-6:
-                    yield f"sensors[{j}]", f"lies on {name}, where the SNR is infinite; move it away"
+                    yield f"sensors.{j}", f"lies on {name}, where the SNR is infinite; move it away"
         for i, eta in enumerate(self.start):
             distances = [math.dist(eta[:3], sensor) for sensor in sensors]
             if max(distances) / min(distances) < 1.0 + 1e-9:
