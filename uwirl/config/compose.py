@@ -27,9 +27,11 @@ from omegaconf.errors import InterpolationResolutionError, MissingMandatoryValue
 from yaml import YAMLError
 
 from uwirl.config.ablations import check_ablation, check_experiment
+from uwirl.config.chain import spread
 from uwirl.config.checks import ConfigError
 from uwirl.config.groups import Groups, for_what_is_named, is_schema, none_of
 from uwirl.config.keys import Keys, field_types
+from uwirl.config.overrides import key_of
 from uwirl.config.schema import Config, register
 
 # What files that do not fit together end in.
@@ -187,6 +189,10 @@ def check_composed(config: DictConfig, choices: Mapping[str, Any], groups: Group
     """
     names = [group for group in choices if not group.startswith("hydra/")]
     Keys.of(config, names).check(OmegaConf.to_container(config), node=config)
+    named = list(map(key_of, words))
+    starts = any(key.startswith("scenario.start") for key in named)
+    if starts and "scenario.vehicles" in named and config.scenario.vehicles is not None:
+        raise ConfigError("scenario.vehicles", "spreads the vehicles by itself; leave it or scenario.start out")
     if groups is not None:
         check_ablation(config, choices, groups)
         check_experiment(choices, groups, words)
@@ -199,7 +205,8 @@ def to_object(composed: DictConfig) -> Any:
         ConfigError: a mandatory value is missing, or an interpolation leads nowhere.
     """
     try:
-        return _plain(OmegaConf.to_object(composed))
+        config = _plain(OmegaConf.to_object(composed))
+        return spread(config) if isinstance(config, Config) else config
     except MissingMandatoryValue as error:
         # OmegaConf writes entries of lists as no command line takes them.
         key = re.sub(r"\[(\d+)\]", r".\1", str(error.full_key))

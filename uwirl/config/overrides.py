@@ -8,6 +8,8 @@ from pathlib import Path
 
 # Sections of the settings in which two runs with the same result may differ.
 FREE = ("logging", "checkpoint", "resume")
+# Two ways to say where vehicles start.
+CHAIN = {"scenario.vehicles", "scenario.start"}
 # Settings that are paths, `checkpoint` that of `uwirl-evaluate`.
 PATHS = ("data", "resume", "init_from", "checkpoint", "hydra.run.dir", "hydra.sweep.dir")
 
@@ -30,6 +32,8 @@ def effective(overrides: Iterable[str]) -> list[str]:
 def without(overrides: Iterable[str], others: Sequence[str]) -> list[str]:
     """Overrides whose keys none of some others has, which then take their place."""
     keys = {key_of(other) for other in others}
+    if keys & CHAIN:
+        keys |= CHAIN
     return [override for override in overrides if key_of(override) not in keys]
 
 

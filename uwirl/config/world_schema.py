@@ -73,7 +73,8 @@ class ScenarioConfig(Section):
     source_m: list[float] = ruled(numbers(3))  # m; [x, y, z] of the node that sends, z up, 0 at the surface
     destination_m: list[float] = ruled(numbers(3))  # m; [x, y, z] of the node that receives
     # Not list[list[float]], which would refuse [0, 0, -5, 1].
-    start: list[Any] = MISSING  # eta of each vehicle, [x, y, z, psi] in m and rad
+    start: list[Any] = MISSING  # eta of each vehicle, [x, y, z, psi] in m and rad, in chain order from the source
+    vehicles: int | None = ruled(at_least(1), None)  # how many, spread beside the link in the place of start, or null
     sensors: Any = MISSING  # a number, spread by the seed, or a list of [x, y, z] in m
     obstacles: list[ObstacleConfig] = field(default_factory=list)  # standing or drifting cylinders
     layouts: LayoutsConfig | None = None  # random worlds to be judged in, or null for this one alone
