@@ -14,7 +14,7 @@ from torch import Tensor
 
 from uwirl.motion.irl_planner import IrlPlanner
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
-from uwirl.motion.planner import Planner
+from uwirl.motion.planner import Planner, fitted
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.estimators import Estimator, estimate_each_vehicle
 from uwirl.world.agent import Agent
@@ -83,7 +83,7 @@ def algorithm_1(env: Relay, estimator: Estimator, planner: Planner, start: Start
     yield Estimated(readings, estimate)
 
     if not isinstance(planner, IrlPlanner):
-        yield Planned(lambda worlds: planner.fit(worlds, estimate), None)
+        yield Planned(lambda worlds: fitted(planner, worlds, estimate), None)
         return
 
     learning = Learning(planner, env, estimate)

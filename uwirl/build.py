@@ -27,7 +27,7 @@ from uwirl.snr.outliers import reject_outliers
 from uwirl.study.evaluation import Evaluator
 from uwirl.world.absorption import Water
 from uwirl.world.acoustics import Channel, LinkBudget
-from uwirl.world.agent import Guard
+from uwirl.world.agent import Guard, check_shape
 from uwirl.world.current import Current
 from uwirl.world.geometry import unit_vector
 from uwirl.world.layouts import Layouts, draw_layouts
@@ -37,6 +37,7 @@ from uwirl.world.random import RandomStreams, Stream
 from uwirl.world.relay import Relay
 from uwirl.world.scenario import Scenario, spread_sensors
 from uwirl.world.truth import truth_of
+from uwirl.world.vehicle import Dynamics, VehicleState
 
 
 def make_scenario(config: Config) -> Scenario:
@@ -86,6 +87,9 @@ def make_channel(config: ChannelConfig) -> Channel:
     if config.target is not None and issubclass(found(config.target, "channel.target"), Channel):
         return make(config, budget=LinkBudget(**_taken_by(LinkBudget, config.values()) | {"water": water}))
     budget: LinkBudget = make(config, water=water)
+    some = torch.ones(2, 3, dtype=torch.float64)
+    for method in (budget.known_loss_dB, budget.capacity_kbps):
+        check_shape(f"{method.__name__} of {type(budget).__name__}", method(some), some.shape, "as its argument")
     return Channel(budget, **_taken_by(Channel, config.values()))
 
 
@@ -96,9 +100,21 @@ def _taken_by(target: type, values: dict[str, Any]) -> dict[str, Any]:
 
 def make_relay(config: Config, streams: RandomStreams | None = None) -> Relay:
     """The environment; one world of the configured seed unless other random streams are given."""
-    vehicle = make(config.vehicle, dtype=getattr(torch, config.dtype), device=config.device)
+    dtype = getattr(torch, config.dtype)
+    vehicle = make(config.vehicle, dtype=dtype, device=config.device)
+    _check_vehicle(vehicle, torch.zeros(8, 2, 3, dtype=dtype, device=config.device), config.scenario.dt_s)
     streams = streams or RandomStreams.worlds(config.seed, 1, config.device)
     return Relay(make_scenario(config), vehicle, make_channel(config.channel), streams)
+
+
+def _check_vehicle(vehicle: Dynamics, rest: Tensor, dt: float) -> None:
+    """Whether limits, trim and a step from rest have the shapes that the world needs."""
+    name, tau = type(vehicle).__name__, rest[:4].movedim(0, -1)
+    for attribute in ("tau_max", "trim"):
+        check_shape(f"{attribute} of {name}", getattr(vehicle, attribute), torch.Size([4]), "axis")
+    check_shape(f"{name}.saturate", vehicle.saturate(tau), tau.shape)
+    after = vehicle.step(VehicleState(rest), tau, dt)
+    check_shape(f"{name}.step", getattr(after, "components", after), rest.shape, "component, world, vehicle")
 
 
 def make_layouts(config: Config) -> tuple[Relay, Layouts]:

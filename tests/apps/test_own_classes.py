@@ -118,3 +118,60 @@ def test_what_only_objects_show_is_checked_when_they_are_made(make_config, tmp_p
     validate(config)
     with pytest.raises(ConfigError, match=r"vehicle.target: bare.Bare is no uwirl.*Dynamics: it has no tau_max, trim"):
         build.make_relay(config)
+
+
+OWN = """
+import torch
+from uwirl import Feedback
+from uwirl.world.acoustics import LinkBudget
+from uwirl.world.vehicle import Vehicle
+
+class Nothing:
+    def fit(self, env, estimate): pass
+class Matrix(Nothing):
+    def fit(self, env, estimate): return torch.eye(4)
+class Flat(Nothing):
+    def fit(self, env, estimate): return Feedback(lambda seen: seen.eta[..., :3])
+class List(Nothing):
+    def fit(self, env, estimate): return Feedback(lambda seen: [0.0] * 4)
+def pair(readings, budget): return -60.0, 5.0
+class Mean(LinkBudget):
+    def capacity_kbps(self, snr_dB): return super().capacity_kbps(snr_dB).mean()
+class Half(Vehicle):
+    def step(self, state, tau, dt, current=None, out=None): return state.components[:4]
+"""
+
+
+@pytest.mark.parametrize(
+    ("option", "told"),
+    [
+        ("planner.target=wrong.Nothing", "Nothing.fit must return an agent, with init and act, got None"),
+        ("planner.target=wrong.Matrix", "Matrix.fit must return an agent, with init and act, got a Tensor"),
+        (
+            "planner.target=wrong.Flat",
+            "must be floating-point [1, 1, 4] (world, vehicle, axis), got torch",
+        ),
+        ("planner.target=wrong.List", "must be floating-point [1, 1, 4] (world, vehicle, axis), got list"),
+        ("estimator.target=wrong.pair", "estimator must return a ChannelEstimate, got a tuple"),
+        (
+            "channel.target=wrong.Mean",
+            "capacity_kbps of Mean must be floating-point [2, 3] (as its argument), got",
+        ),
+        (
+            "vehicle.target=wrong.Half",
+            "Half.step must be floating-point [8, 2, 3] (component, world, vehicle), got",
+        ),
+    ],
+)
+def test_wrong_results_are_one_message(call, tmp_path, monkeypatch, capsys, option: str, told: str):
+    (tmp_path / "wrong.py").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    family = option.partition(".")[0]
+    others = {"planner": ("planner=custom",), "estimator": ("estimator=custom", "planner=pd")}
+    with pytest.raises(SystemExit, match="1"):
+        call(run.main, *FREE, *others.get(family, ("planner=pd",)), option, f"hydra.run.dir={tmp_path}/run")
+    metrics = run_folder.read_metrics(tmp_path / "run")
+    assert metrics["status"] == "failed"
+    assert told in metrics["error"]
+    assert "Traceback" not in capsys.readouterr().err
+    sys.modules.pop("wrong")

@@ -14,6 +14,7 @@ from uwirl.algorithm import Estimated
 from uwirl.config.schema import Config, IrlConfig
 from uwirl.motion.features import MotionBasis
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
+from uwirl.motion.planner import fitted
 from uwirl.runs import pictures
 from uwirl.runs.recorded import warn
 from uwirl.snr.estimate import ChannelEstimate
@@ -54,7 +55,7 @@ class MissionFlight:
     def baseline(self, estimate: ChannelEstimate) -> dict[str, Agent]:
         """The baseline planner's agent, by its name."""
         planner = build.make_planner(self.config, self.config.baseline, self.env)
-        return {self.config.baseline.name: planner.fit(self.env, estimate)}
+        return {self.config.baseline.name: fitted(planner, self.env, estimate)}
 
     def fly_learned(
         self,

@@ -22,6 +22,7 @@ from uwirl.runs.interruption import Interrupted, Interruption
 from uwirl.snr.model import UnidentifiableError
 from uwirl.study import run_folder
 from uwirl.study.checkpoint import CheckpointError
+from uwirl.world.agent import InterfaceError
 from uwirl.world.trajectory import DivergedError
 
 log = logging.getLogger("uwirl")
@@ -33,6 +34,7 @@ FAILURES = (
     CheckpointError,
     ConfigError,  # an object of a custom class lacks something
     DivergedError,
+    InterfaceError,
     InadmissiblePolicyError,
     InsufficientDataError,
     UnidentifiableError,

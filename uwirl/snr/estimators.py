@@ -18,6 +18,7 @@ from uwirl.snr.likelihood import MAX_ENTRIES, ordinary
 from uwirl.snr.model import Fading, Geometry, Spectrum, observations
 from uwirl.snr.moments import moment_fit
 from uwirl.world.acoustics import Channel, LinkBudget
+from uwirl.world.agent import InterfaceError
 from uwirl.world.readings import Readings, readings_of_each_vehicle
 from uwirl.world.relay import Relay
 
@@ -44,7 +45,20 @@ class Estimator(Protocol):
 def estimate_each_vehicle(env: Relay, estimator: Estimator) -> tuple[list[Readings], ChannelEstimate]:
     """Stage 1 in the first world: each vehicle's readings and its estimate from them, [M] data sets."""
     readings = readings_of_each_vehicle(env)
-    return readings, ChannelEstimate.join([estimator(data, env.budget) for data in readings])
+    return readings, ChannelEstimate.join([_checked(estimator(data, env.budget)) for data in readings])
+
+
+def _checked(estimate: object) -> ChannelEstimate:
+    """One data set's estimate, if it is one."""
+    if not isinstance(estimate, ChannelEstimate):
+        raise InterfaceError(f"estimator must return a ChannelEstimate, got a {type(estimate).__name__}")
+    shapes = {"value": (1, 5), "covariance": (1, 5, 5), "identifiable": (1, 5), "cost": (1,)}
+    for name, shape in shapes.items():
+        got = getattr(estimate, name)
+        if not isinstance(got, Tensor) or got.shape != shape:
+            shown = list(got.shape) if isinstance(got, Tensor) else f"a {type(got).__name__}"
+            raise InterfaceError(f"estimator must return {name} {list(shape)} of one data set, got {shown}")
+    return estimate
 
 
 class Solution(NamedTuple):

@@ -13,6 +13,10 @@ from torch import Tensor
 from uwirl.world.observation import Observation
 
 
+class InterfaceError(ValueError):
+    """An object, perhaps of the user's own, returned what its interface does not allow; the message says which."""
+
+
 class Agent(Protocol):
     """Controls vehicles. Both methods are pure: the same call gives the same result, and the carry is the only memory.
 
@@ -34,32 +38,33 @@ class Agent(Protocol):
 Guard = Callable[[Tensor, Observation], Tensor]
 
 
-def check_shape(name: str, value: object, shape: torch.Size) -> None:
+def check_shape(name: str, value: object, shape: torch.Size, axes: str = "world, vehicle, axis") -> None:
     """Check that a value is a tensor of the needed shape: tau [B, M, 4] or a target [B, M, 3].
 
     Args:
         name: name of the value, for the message.
         value: anything.
         shape: the needed shape.
+        axes: what they are.
 
     Raises:
-        ValueError: the value is not a floating-point tensor of that shape.
+        InterfaceError: the value is not a floating-point tensor of that shape.
     """
     if isinstance(value, Tensor) and value.is_floating_point() and value.shape == shape:
         return
     got = f"{value.dtype} {list(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
-    raise ValueError(f"{name} must be floating-point {list(shape)} (world, vehicle, axis), got {got}")
+    raise InterfaceError(f"{name} must be floating-point {list(shape)} ({axes}), got {got}")
 
 
 def decide(agent: Agent, carry: Any, observation: Observation) -> tuple[Tensor, Any]:
     """Call `Agent.act` and check its result: tau [B, M, 4] and the next carry.
 
     Raises:
-        ValueError: the agent did not return a pair, or tau has another type or shape.
+        InterfaceError: the agent did not return a pair, or tau has another type or shape.
     """
     name, action = type(agent).__name__, agent.act(carry, observation)
     if not (isinstance(action, tuple) and len(action) == 2):
-        raise ValueError(f"{name}.act must return (tau, carry), got {type(action).__name__}")
+        raise InterfaceError(f"{name}.act must return (tau, carry), got {type(action).__name__}")
     check_shape(f"tau of {name}.act", action[0], observation.eta.shape)
     return action
 
