@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from uwirl.motion.safety import Limits, nothing_near, obstacle_neighbours, vehicle_neighbours
-from uwirl.world.geometry import turned_to_body, turned_to_inertial
+from uwirl.world.geometry import turned_to_body, turned_to_inertial, vector
 from uwirl.world.observation import Observation
 
 
@@ -75,7 +75,7 @@ class BarrierGuard:
         return near.n[..., :2] / inertia[:2], least - near.n[..., 2] * tau[..., 2, None] / inertia[2]
 
     def _inertia(self, like: Tensor) -> Tensor:
-        return like.new_tensor(self.inertia_kg)
+        return vector(self.inertia_kg, like)
 
     def _least(self, n: Tensor, nu: Tensor, h: Tensor, l: Tensor) -> Tensor:
         """Least admissible n . a, [..., C]; minus infinity where there is no obstacle or vehicle."""
@@ -99,7 +99,8 @@ def nearest_force(wanted: Tensor, normal: Tensor, least: Tensor, force_max: Tens
     size = torch.linalg.vector_norm(normal, dim=-1).clamp_min(1e-12)
     # In place of a missing constraint, one that always holds.
     b = torch.where(least.isfinite(), least / size, -10.0 * force_max.sum())
-    box = torch.cat([torch.eye(2), -torch.eye(2)]).to(wanted)
+    sides = torch.eye(2, dtype=wanted.dtype, device=wanted.device)
+    box = torch.cat([sides, -sides])
     A = torch.cat([normal / size[..., None], box.expand(*normal.shape[:-2], 4, 2)], -2)
     b = torch.cat([b, -force_max.repeat(2).expand(*b.shape[:-1], 4)], -1)
     lacking = (b - (A * wanted[..., None, :]).sum(-1)).clamp_min(0.0)

@@ -24,6 +24,7 @@ from uwirl.irl.grid_critic import GridMap, solve_eikonal
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.link_frame import LinkFrame
 from uwirl.world.geometry import length
+from uwirl.world.chunks import at_once
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.regions import separated
 from uwirl.world.scenario import Scenario
@@ -124,7 +125,7 @@ class Router:
         """
         now = obstacles._replace(centre=obstacles.centre + obstacles.velocity * time[:, None, None])
         row = vehicle % self.targets
-        batches = torch.arange(len(vehicle), device=vehicle.device).split(BATCH)
+        batches = torch.arange(len(vehicle), device=vehicle.device).split(at_once(BATCH, vehicle.device))
         parts = [self._plan(row[k], position[k].double(), now.worlds(k)) for k in batches]
         goal, rest_cost, blocked = (
             torch.cat([getattr(part, name) for part in parts]) for name in ("goal", "rest_cost", "blocked")

@@ -188,7 +188,7 @@ def obstacle_neighbours(observation: Observation, vehicle_radius: float) -> Neig
     gap = torch.where(obstacles.present, l, torch.inf) - obstacles.radius - vehicle_radius
     n = offset / l[..., None].clamp_min(1e-9)
     relative = observation.nu[..., None, :2] - turned_to_body(obstacles.velocity, psi)
-    axes = offset.new_tensor([1.0, 1.0, 0.0]).expand(obstacles.number, 3)
+    axes = (torch.arange(3, device=offset.device) < 2).to(offset.dtype).expand(obstacles.number, 3)
     return Neighbours(_lift(turned_to_body(n, psi)), _lift(relative), gap, axes)
 
 

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from uwirl.snr.model import NOISELESS
 from uwirl.world.acoustics import Channel
+from uwirl.world.chunks import at_once
 from uwirl.world.geometry import distances
 from uwirl.world.readings import Readings
 
@@ -90,7 +91,7 @@ class Kriging:
     def _chunks(self, first: Tensor, second: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
         count = max(len(end) if end.ndim == 2 else 1 for end in (first, second))
         first, second = (end.to(self.theta).expand(count, 3) for end in (first, second))
-        chunk = max(1, CHUNK_ENTRIES // len(self.first))
+        chunk = at_once(max(1, CHUNK_ENTRIES // len(self.first)), first.device)
         return zip(first.split(chunk), second.split(chunk), strict=True)
 
     def _trend(self, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:

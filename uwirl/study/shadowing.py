@@ -39,7 +39,7 @@ def messages(env: Relay, trajectory: Trajectory) -> LinksAtMessages:
     """Link capacities in the first world's mission, every `scenario.message_period`."""
     every = round(env.scenario.message_period / env.scenario.dt)
     position = trajectory.eta[::every, :1, :, :3]
-    capacity = [truth_of(env).link_capacities_kbps(part, shadowed=True)[:, 0] for part in position.split(CHUNK)]
+    capacity = [truth_of(env).link_capacities_kbps(part, shadowed=True)[:, 0] for part in position.split(at_once(CHUNK, position.device))]
     return LinksAtMessages(trajectory.time[::every], torch.cat(capacity))
 
 

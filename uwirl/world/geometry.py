@@ -6,6 +6,7 @@ psi turns the inertial frame's x axis into the body's surge axis, counter-clockw
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import reduce
 
 import torch
@@ -47,6 +48,11 @@ def turned_to_body(vector: Tensor, psi: Tensor) -> Tensor:
 def turned_to_inertial(vector: Tensor, psi: Tensor) -> Tensor:
     """A body vector [..., 2 or more] of yaw psi [...] in the inertial frame; components after u, v are unchanged."""
     return torch.cat([torch.stack(to_inertial(vector[..., 0], vector[..., 1], psi), -1), vector[..., 2:]], -1)
+
+
+def vector(numbers: Sequence[float], like: Tensor) -> Tensor:
+    """Plain numbers as a vector [k] with dtype and device of a tensor: filled there, because a copy waits for a GPU."""
+    return torch.stack([like.new_full((), number) for number in numbers])
 
 
 def left_of(direction: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from uwirl.world.geometry import vector
 from uwirl.world.random import RandomStreams, Stream
 
 
@@ -46,12 +47,9 @@ class Navigation:
             dt: duration of a step, s.
             vehicles: M.
         """
-        std = torch.tensor(
-            [*[self.position_m] * 3, self.yaw_rad, *[self.velocity_mps] * 3, self.yaw_rate_rad_s],
-            dtype=torch.float64,
-            device=step.device,
-        )
+        stds = [*[self.position_m] * 3, self.yaw_rad, *[self.velocity_mps] * 3, self.yaw_rate_rad_s]
         # Offset by 1, because the random numbers of step 0 give the drift.
-        noise = std * streams.normal(Stream.NAVIGATION, 1 + step, 8 * vehicles).view(-1, vehicles, 8)
+        noise = streams.normal(Stream.NAVIGATION, 1 + step, 8 * vehicles).view(-1, vehicles, 8)
+        noise = vector(stds, noise) * noise
         drift = self.drift_mps * streams.normal(Stream.NAVIGATION, 0, 2 * vehicles).view(-1, vehicles, 2)
         return noise + torch.nn.functional.pad(drift * (step.double() * dt)[:, None, None], (0, 6))

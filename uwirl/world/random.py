@@ -44,15 +44,24 @@ def philox4x32(counter: Tensor, key: Tensor, rounds: int = 10) -> Tensor:
     Returns:
         Four random 32-bit words in int64, [..., 4].
     """
-    c0, c1, c2, c3 = counter.unbind(-1)
-    k0, k1 = key.unbind(-1)
-    for _ in range(rounds):
+    return torch.stack(_mixed(*counter.unbind(-1), *key.unbind(-1), rounds), -1)
+
+
+def _mixed(
+    c0: Tensor, c1: Tensor, c2: Tensor, c3: Tensor, k0: Tensor, k1: Tensor, rounds: int = 10
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The rounds of `philox4x32` on single words, [...] each, which broadcast."""
+    number = torch.arange(rounds, device=k0.device)
+    keys = [((k[..., None] + weyl * number) & _MASK).unbind(-1) for k, weyl in zip((k0, k1), _WEYL, strict=True)]
+    shape = torch.broadcast_shapes(*(word.shape for word in (c0, c1, c2, c3, k0, k1)))
+    c0, c2 = c0.expand(shape), c2.expand(shape)
+    for k0, k1 in zip(*keys, strict=True):
         # int64 products wrap modulo 2^64, which keeps both 32-bit halves right.
         p0, p1 = c0 * _MULTIPLIERS[0], c2 * _MULTIPLIERS[1]
-        high0, high1 = (p0 >> 32) & _MASK, (p1 >> 32) & _MASK
-        c0, c1, c2, c3 = high1 ^ c1 ^ k0, p1 & _MASK, high0 ^ c3 ^ k1, p0 & _MASK
-        k0, k1 = (k0 + _WEYL[0]) & _MASK, (k1 + _WEYL[1]) & _MASK
-    return torch.stack(torch.broadcast_tensors(c0, c1, c2, c3), -1)
+        c0 = (p1 >> 32).bitwise_xor_(c1).bitwise_xor_(k0).bitwise_and_(_MASK)
+        c2 = (p0 >> 32).bitwise_xor_(c3).bitwise_xor_(k1).bitwise_and_(_MASK)
+        c1, c3 = p1.bitwise_and_(_MASK), p0.bitwise_and_(_MASK)
+    return c0, c1, c2, c3
 
 
 @dataclass(frozen=True)
@@ -89,15 +98,13 @@ class RandomStreams:
         With a single world, several steps may be given.
         """
         blocks = torch.arange((count + 1) // 2, device=self.seed.device)
-        world, at = torch.broadcast_tensors(self.world, torch.as_tensor(step, device=self.seed.device))
-        counter = torch.broadcast_tensors(
-            (world & _MASK)[:, None], (at & _MASK)[:, None], torch.full_like(blocks, int(stream)), blocks
-        )
-        key = torch.stack([self.seed & _MASK, (self.seed >> 32) & _MASK], -1)[:, None, :]
-        words = philox4x32(torch.stack(counter, -1), key).reshape(len(world), -1, 2)
+        at = step if isinstance(step, Tensor) else self.world.new_full((), step)
+        world, at, seed = (x[:, None] for x in torch.broadcast_tensors(self.world, at, self.seed))
+        counter = world & _MASK, at & _MASK, torch.full_like(blocks, int(stream)), blocks
+        words = _mixed(*counter, seed & _MASK, (seed >> 32) & _MASK)
         # 53 bits from two words, as the Mersenne Twister's genrand_res53 does.
-        mantissa = (words[..., 0] >> 5) * (1 << 26) + (words[..., 1] >> 6)
-        return (mantissa.to(torch.float64) / (1 << 53))[:, :count]
+        mantissa = torch.stack([(high >> 5).mul_(1 << 26).add_(low >> 6) for high, low in (words[:2], words[2:])], -1)
+        return (mantissa.to(torch.float64) / (1 << 53)).flatten(1)[:, :count]
 
     def between(self, stream: Stream, step: int | Tensor, low: float, high: float, count: int) -> Tensor:
         """Uniform float64 draws in [low, high), [B, count]."""

@@ -44,7 +44,8 @@ class Truth:
     def snr_dB(self, first: Tensor, second: Tensor) -> Tensor:
         """Shadowed SNR of links with ends [Q, 3] in the order of the field, in the first world, [Q], dB."""
         distance = length(first - second)
-        ends = zip(first.split(CHUNK), second.split(CHUNK), strict=True)
+        chunk = at_once(CHUNK, first.device)
+        ends = zip(first.split(chunk), second.split(chunk), strict=True)
         shadowing = [self.shadowing(p[None], q[None])[0] for p, q in ends]
         return self.channel.mean_snr_dB(distance) + torch.cat(shadowing)
 

@@ -250,7 +250,7 @@ class Vehicle(nn.Module):
             moved = self.drift(x, tau, dt, current.T[..., None])
             return VehicleState(moved if out is None else out.copy_(moved))
         chunks = -(-x[0].numel() // CHUNK)
-        if chunks == 1:
+        if chunks == 1 or x.device.type != "cpu" or torch.compiler.is_compiling():
             return VehicleState(self.rk4(x, tau, dt, out))
         out = x.new_empty(x.shape) if out is None else out
         # `view` fails instead of copying: results written into a silent copy of `out` would be lost.
