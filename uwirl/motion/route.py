@@ -23,8 +23,8 @@ from torch import Tensor
 from uwirl.irl.grid_critic import GridMap, solve_eikonal
 from uwirl.motion.cost import RelayCost
 from uwirl.motion.link_frame import LinkFrame
-from uwirl.world.geometry import length
 from uwirl.world.chunks import at_once
+from uwirl.world.geometry import length
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.regions import separated
 from uwirl.world.scenario import Scenario

@@ -11,6 +11,7 @@ from uwirl.motion.shadowed_targets import shadowed_targets
 from uwirl.motion.targets import ChainTargets
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.kriging import Kriging
+from uwirl.world.chunks import at_once
 from uwirl.world.readings import Readings
 from uwirl.world.relay import Relay
 from uwirl.world.trajectory import Trajectory
@@ -39,7 +40,10 @@ def messages(env: Relay, trajectory: Trajectory) -> LinksAtMessages:
     """Link capacities in the first world's mission, every `scenario.message_period`."""
     every = round(env.scenario.message_period / env.scenario.dt)
     position = trajectory.eta[::every, :1, :, :3]
-    capacity = [truth_of(env).link_capacities_kbps(part, shadowed=True)[:, 0] for part in position.split(at_once(CHUNK, position.device))]
+    capacity = [
+        truth_of(env).link_capacities_kbps(part, shadowed=True)[:, 0]
+        for part in position.split(at_once(CHUNK, position.device))
+    ]
     return LinksAtMessages(trajectory.time[::every], torch.cat(capacity))
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -67,7 +68,7 @@ class Current:
         worlds = len(streams.seed)
         mean = self.mean.expand(worlds, 3)
         if self.std == 0.0:
-            return lambda time: mean.expand(*torch.broadcast_shapes(torch.as_tensor(time).shape, (worlds,)), 3)
+            return partial(_steady, mean=mean)
         draws = streams.uniform(Stream.DISTURBANCE, 0, 4 * COSINES).view(worlds, 2, 2, COSINES)
         # One frequency from each of K equally likely bands: every world then has the whole spectrum, and each
         # omega_k taken at random is still Cauchy.
@@ -75,10 +76,15 @@ class Current:
         omega = torch.tan(math.pi * (quantile - 0.5)) / self.time_constant
         phase = 2.0 * math.pi * draws[:, 1]
         amplitude = self.std * math.sqrt(2.0 / COSINES)
+        return partial(_gusts, mean=mean, omega=omega, phase=phase, amplitude=amplitude)
 
-        def velocity(time: float | Tensor) -> Tensor:
-            time = torch.as_tensor(time, dtype=omega.dtype, device=omega.device)
-            horizontal = amplitude * torch.cos(omega * time[..., None, None] + phase).sum(-1)
-            return mean + torch.nn.functional.pad(horizontal, (0, 1)).to(mean.dtype)
 
-        return velocity
+def _steady(time: float | Tensor, mean: Tensor) -> Tensor:
+    shape = time.shape if isinstance(time, Tensor) else ()
+    return mean.expand(*torch.broadcast_shapes(shape, mean.shape[:1]), 3)
+
+
+def _gusts(time: float | Tensor, mean: Tensor, omega: Tensor, phase: Tensor, amplitude: float) -> Tensor:
+    time = torch.as_tensor(time, dtype=omega.dtype, device=omega.device)
+    horizontal = amplitude * torch.cos(omega * time[..., None, None] + phase).sum(-1)
+    return mean + torch.nn.functional.pad(horizontal, (0, 1)).to(mean.dtype)

@@ -44,7 +44,8 @@ def philox4x32(counter: Tensor, key: Tensor, rounds: int = 10) -> Tensor:
     Returns:
         Four random 32-bit words in int64, [..., 4].
     """
-    return torch.stack(_mixed(*counter.unbind(-1), *key.unbind(-1), rounds), -1)
+    (c0, c1, c2, c3), (k0, k1) = counter.unbind(-1), key.unbind(-1)
+    return torch.stack(_mixed(c0, c1, c2, c3, k0, k1, rounds), -1)
 
 
 def _mixed(

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from uwirl.world.acoustics import Channel
+from uwirl.world.chunks import at_once
 from uwirl.world.fading import Shadowing, ShadowingField
 from uwirl.world.geometry import length
 from uwirl.world.random import RandomStreams
