@@ -158,7 +158,7 @@ def test_metres_are_not_taken_for_degrees(T: Tensor, R: list[float]):
 
 @pytest.mark.parametrize("messages", [1, 4])
 def test_warnings_of_healthy_readings_are_rare(channel: Channel, messages: int):
-    """About one data set of 1,000 is accused; experiments in docs/channel.md have more data sets."""
+    """docs/channel.md has rates from more data sets and geometries."""
     sets = 60
     readings = simulate(channel, 16 // messages, messages, sets, seed=messages)
     estimate = maximum_likelihood(readings, channel.budget)

@@ -22,8 +22,8 @@ from uwirl.world.readings import Readings
 WAVES_M, DEEPEST_M = 1.0, 11_000.0
 # No tank for experiments with vehicles is smaller, m. Modems are heard over some ten kilometres, far below the second.
 SHORTEST_M, LONGEST_M = 0.5, 100e3
-# Of the intervals that must be beyond a limit. Those of 95 % accused 9 of 600 healthy logs of one sensor along one way,
-# whose readings share their shadowing; these none.
+# Of the intervals that must be beyond a limit: 7 of 2,400 healthy logs of one sensor along one way, whose readings
+# share their shadowing, are accused of their n.
 COVERAGE = 0.999
 # Cylindrical spreading, the slowest, has n = 1. Interference with the surface has 4, the paper 5: wrong distances, or
 # absorption that is left out, have more.
