@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -64,8 +65,12 @@ def test_sample_log_gives_the_channel_it_was_made_with(sample):
     assert metrics["readings"] + metrics["dropouts"] == 320
     assert metrics["readings_used"] == metrics["readings"]
     assert metrics["residual_rms"] == pytest.approx(1.0, abs=0.1)
-    assert metrics["leave_one_out_rmse_dB"] < 0.6 * metrics["leave_one_out_rmse_path_loss_dB"]
-    assert metrics["warnings"] == []
+    # The ten places have about 16 links each, read twice.
+    assert metrics["links"] == 160
+    assert metrics["leave_one_out_rmse_dB"] < 0.8 * metrics["leave_one_out_rmse_path_loss_dB"]
+    assert metrics["accused_sensors"] == metrics["accused_sensors_dB"] == metrics["warnings"] == []
+    low, high = metrics["estimate_zeta2_possible"]
+    assert low < metrics["estimate_zeta2"] < high < 3.0 * low
     assert not any(isinstance(value, dict) for value in metrics.values())
 
 
@@ -77,7 +82,7 @@ def test_arrays(sample):
     for name in ("snr_mean_dB", "snr_std_dB", "capacity_kbps", "outage"):
         assert data[name].shape == shape
     assert len(data["residual_dB"]) == len(data["standardized"]) == len(data["line"]) == metrics["readings"]
-    assert np.abs(data["standardized"]).max() == pytest.approx(abs(metrics["residual_worst"]))
+    assert np.sqrt(np.mean(data["standardized"] ** 2)) == pytest.approx(metrics["residual_rms"])
     # Half the median capacity is the default threshold; the expected SNR carries it where outage is below one half.
     assert metrics["map_capacity_kbps"] == pytest.approx(0.5 * np.nanmedian(data["capacity_kbps"]), rel=1e-3)
     told = ~np.isnan(data["outage"])
@@ -122,6 +127,8 @@ def test_what_looks_wrong_is_told(estimate, tmp_path, caplog):
         metrics = estimate(f"data={path}")
     assert metrics["residual_worst_line"] == 100
     assert "line 100 does not belong: +" in caplog.text
+    assert metrics["accused_sensors"] == ["buoy-05"]
+    assert metrics["accused_sensors_dB"] == pytest.approx([-15.0], abs=5.0)
     assert "sensor buoy-05 does not agree with the others: -" in caplog.text
     assert "residuals are not normal" in caplog.text
     assert metrics["warnings"]
@@ -146,6 +153,25 @@ def test_doubts_come_before_the_map(estimate, write, caplog):
 @pytest.mark.parametrize("estimator", ["least_squares", "generalized_least_squares", "separate"])
 def test_other_estimators(estimate, estimator: str):
     assert estimate(f"data={SAMPLE}", f"estimator={estimator}")["status"] == "complete"
+
+
+def test_standing_stations(estimate, write, caplog, tmp_path):
+    """Of a vehicle that does not move: 3 dB of shadowing widen the map between stations, and nobody is accused."""
+    offsets = (2.5, -3.1, 1.2, 3.9, -2.6, -1.8, 3.3, -3.4)
+    rows = [
+        f"0,0,-5,{40 * k + 20},0,-5,{44 - 20 * math.log10(40 * k + 20) + offset + 0.7 * math.sin(12.9 * ping + k)}"
+        for k, offset in enumerate(offsets)
+        for ping in range(20)
+    ]
+    with caplog.at_level("INFO", "uwirl"):
+        metrics = estimate(write(*rows), "channel.absorption=none", "channel.frequency_khz=null", "map.from_m=[0,0,-5]")
+    assert metrics["estimate_zeta2"] is metrics["estimate_varphi_m"] is None
+    assert metrics["accused_sensors"] == []
+    assert "nothing looks wrong" in caplog.text
+    low, high = metrics["estimate_zeta2_possible"]
+    assert low < np.var(offsets, ddof=2) < high
+    std = np.load(tmp_path / "estimate.npz")["snr_std_dB"]
+    assert 2.5 < np.nanmedian(std) < 8.0
 
 
 def test_few_readings_tell_no_fading(estimate, write, caplog):

@@ -1,22 +1,29 @@
-"""Leave-one-out residuals against kriging without the reading, and what becomes of logs that are wrong."""
+"""Residuals against kriging without the link, offsets against dense least squares, and false and true alarms."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+from dense import Dense
 from scipy import stats
 
-from uwirl.snr.diagnostics import diagnose
+from uwirl.snr.diagnostics import Diagnostics
+from uwirl.snr.diagnostics import diagnose as diagnose_with
 from uwirl.snr.intervals import student_t
 from uwirl.snr.kriging import Kriging
+from uwirl.snr.links import Links
+from uwirl.snr.model import Fading
+from uwirl.snr.posterior import FadingPosterior
 from uwirl.world.acoustics import Channel, LinkBudget
 from uwirl.world.fading import exact_shadowing
 from uwirl.world.readings import Readings
 
 TRUTH = Channel(LinkBudget(-104.0, 6.0, "thorp", 24.0), -60.0, 2.0, zeta_dB=3.0, varphi_m=15.0, rho_dB=1.0)
+FADING = 9.0, 15.0, 1.0
 MESSAGES, SENSORS = 8, 25
 
 
@@ -30,6 +37,12 @@ def simulate(seed: int = 0, missing: int = 0) -> Readings:
     snr = TRUTH.mean_snr_dB(readings.distance) + shadowing + TRUTH.rho_dB * multipath
     snr.view(-1)[torch.randperm(snr.numel(), generator=generator)[:missing]] = math.nan
     return replace(readings, snr=snr)
+
+
+def diagnose(readings: Readings, truth: Channel) -> Diagnostics:
+    """With the true fading."""
+    fading = Fading(*(torch.tensor(x, dtype=torch.float64) for x in FADING))
+    return diagnose_with(readings, FadingPosterior.known(Links.of(readings, truth.budget), fading))
 
 
 def universal(readings: Readings) -> Kriging:
@@ -64,13 +77,48 @@ def test_residuals_are_those_of_kriging_without_the_reading(missing: int):
         assert float(found.standardized[k]) == pytest.approx(residual / float(std), abs=1e-9)
 
 
-def test_a_sensor_is_judged_by_the_others():
-    readings = simulate()
-    found = diagnose(readings, TRUTH)
-    without = readings.snr.clone()
-    without[0, :, 4] = math.nan
-    mean, _ = universal(replace(readings, snr=without)).predict(readings.transmitters, readings.receivers[4])
-    assert float(found.sensor_mean[4]) == pytest.approx(float((readings.snr[0, :, 4] - mean).mean()), abs=1e-9)
+def test_readings_of_a_link_are_left_out_together():
+    """Three pings of each message: all are held against what the other links predict."""
+    readings = simulate(missing=9)
+    noise = torch.randn(3, 1, MESSAGES, SENSORS, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    pings = readings.snr + noise
+    repeated = replace(
+        readings, transmitters=readings.transmitters.repeat(3, 1), snr=pings.flatten(0, 1)[None].flatten(1, 2)
+    )
+    found = diagnose(repeated, TRUTH)
+    s, j = 2, 7
+    without = repeated.snr.clone()
+    without[0, s::MESSAGES, j] = math.nan
+    mean, std = universal(replace(repeated, snr=without)).predict(
+        readings.transmitters[s], readings.receivers[j], multipath=True
+    )
+    places = (~repeated.snr[0].isnan()).nonzero().tolist()
+    for ping in range(3):
+        k = places.index([s + ping * MESSAGES, j])
+        residual = float(pings[ping, 0, s, j] - mean)
+        assert float(found.residual[k]) == pytest.approx(residual, abs=1e-9)
+        assert float(found.standardized[k]) == pytest.approx(residual / float(std), abs=1e-9)
+    assert found.links == MESSAGES * SENSORS - 9
+    assert len(found.whitened) == 3 * found.links - 2
+
+
+def test_offsets_by_dense_least_squares():
+    """Of a sensor and of one of two readings of a link, as one more column of the design matrix."""
+    readings = simulate(missing=40)
+    transmitters = torch.cat([readings.transmitters, readings.transmitters[:1]])
+    readings = replace(readings, transmitters=transmitters, snr=torch.cat([readings.snr, readings.snr[:, :1] + 1.5], 1))
+    found, dense = diagnose(readings, TRUTH), Dense.of(readings, TRUTH)
+    receiver = np.nonzero(~np.isnan(readings.snr[0].numpy()))[1]
+    omega = dense.covariance(*FADING)
+    columns = [(receiver == 4).astype(float), np.eye(len(dense.y))[-3]]
+    for column, offsets, k in zip(columns, (found.sensor, found.reading), (4, len(dense.y) - 3), strict=True):
+        H = np.column_stack([dense.H, column])
+        covariance = np.linalg.inv(H.T @ np.linalg.solve(omega, H))
+        offset = (covariance @ H.T @ np.linalg.solve(omega, dense.y))[2]
+        z = offset / np.sqrt(covariance[2, 2])
+        assert float(offsets.mean[k]) == pytest.approx(offset, abs=1e-9)
+        assert float(offsets.standardized[k]) == pytest.approx(z, abs=1e-9)
+        assert float(offsets.p[k]) == pytest.approx(2.0 * stats.norm.sf(abs(z)), rel=1e-6)
 
 
 def test_path_loss_residuals_are_those_of_a_line_without_the_reading():
@@ -87,7 +135,7 @@ def test_the_true_model_leaves_standard_normal_numbers():
     whitened = torch.cat([each.whitened for each in found])
     assert len(whitened) == 20 * (MESSAGES * SENSORS - 2)
     assert stats.kstest(whitened.numpy(), "norm").pvalue > 0.01
-    sensors = torch.cat([each.sensor_standardized for each in found])
+    sensors = torch.cat([each.sensor.standardized for each in found])
     assert float(sensors.square().mean()) == pytest.approx(1.0, abs=0.2)
     assert float(torch.tensor([each.rms for each in found]).mean()) == pytest.approx(1.0, abs=0.05)
 
@@ -101,24 +149,61 @@ def test_moments_against_scipy():
 
 
 def test_an_outlier_and_a_lying_sensor_are_named():
+    """Whatever the fading may be."""
     readings = simulate()
     snr = readings.snr.clone()
     snr[0, 3, 5] += 15.0
-    found = diagnose(replace(readings, snr=snr), TRUTH)
-    assert found.worst == 3 * SENSORS + 5
-    assert float(found.standardized[found.worst]) > 6.0
+    found = whatever_the_fading(replace(readings, snr=snr))
+    assert found.reading.worst == 3 * SENSORS + 5
+    assert float(found.reading.p[found.reading.worst]) < 1e-5
+    assert found.accused(0.01) == []
     snr = readings.snr.clone()
     snr[0, :, 9] -= 12.0
-    found = diagnose(replace(readings, snr=snr), TRUTH)
-    assert found.worst_sensor == 9
-    assert float(found.sensor_mean[9]) == pytest.approx(-12.0, abs=5.0)
+    found = whatever_the_fading(replace(readings, snr=snr))
+    assert found.accused(0.01) == [found.sensor.worst] == [9]
+    assert float(found.sensor.mean[9]) == pytest.approx(-12.0, abs=4.0)
+
+
+def whatever_the_fading(readings: Readings) -> Diagnostics:
+    return diagnose_with(readings, FadingPosterior.coarse(Links.of(readings, TRUTH.budget)))
+
+
+def standing_stations(seed: int, pings: int = 12, stations: int = 8) -> Readings:
+    """Anywhere between 20 and 340 m from a vehicle that does not move."""
+    generator = torch.Generator().manual_seed(seed)
+    kind = {"generator": generator, "dtype": torch.float64}
+    radius, angle = 20.0 + 320.0 * torch.rand(stations, **kind), 2.0 * torch.pi * torch.rand(stations, **kind)
+    places = torch.stack([radius * angle.cos(), radius * angle.sin(), torch.full_like(radius, -5.0)], -1)
+    vehicle = torch.tensor([[0.0, 0.0, -5.0]], dtype=torch.float64)
+    white, multipath = torch.randn(1, 1, stations, **kind), torch.randn(1, pings, stations, **kind)
+    link = TRUTH.mean_snr_dB(radius) + exact_shadowing(vehicle, places, TRUTH.zeta_dB, TRUTH.varphi_m, white)
+    return Readings(vehicle.expand(pings, 3), places, link + TRUTH.rho_dB * multipath)
+
+
+def test_healthy_standing_stations_are_not_accused():
+    """Alarms in 150 logs at a rate of 10 %, within 99.9 % of what chance allows; p-values are uniform."""
+    logs = [whatever_the_fading(standing_stations(seed)) for seed in range(150)]
+    alarms = sum(bool(log.accused(0.1)) for log in logs)
+    low, high = stats.binom.ppf([0.0005, 0.9995], 150, 0.1)
+    assert low <= alarms <= high
+    assert sum(bool(log.accused(0.01)) for log in logs) <= stats.binom.ppf(0.999, 150, 0.01)
+    # One probability per log, because those of one log depend on each other.
+    assert stats.kstest([float(log.sensor.p[0]) for log in logs], "uniform").pvalue > 0.001
+
+
+def test_a_broken_standing_station_is_accused():
+    """60 dB off: more than any shadowing of the others."""
+    readings = standing_stations(0)
+    readings.snr[..., 3] -= 60.0
+    assert whatever_the_fading(readings).accused(0.01) == [3]
 
 
 def test_one_sensor_has_no_others():
     readings = simulate()
     alone = replace(readings, receivers=readings.receivers[:1], snr=readings.snr[..., :1])
     found = diagnose(alone, TRUTH)
-    assert found.worst_sensor is None
+    assert found.sensor.worst is None
+    assert found.accused(0.01) == []
     assert not bool(found.residual.isnan().any())
 
 

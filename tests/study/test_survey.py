@@ -22,7 +22,7 @@ def test_each_diagnosis_stands_on_the_line_of_its_reading(tmp_path: Path):
     path.write_text("\n".join([header, *(rows[k] for k in order)]) + "\n")
     residuals = []
     for survey in (Survey.read(SAMPLE, BUDGET), Survey.read(path, BUDGET)):
-        residual = survey.diagnose(survey.estimate()).residual
+        residual = survey.diagnose().residual
         residuals.append(dict(zip(survey.line.tolist(), residual.tolist(), strict=True)))
     straight, shuffled = residuals
     assert len(straight) == survey.counts["readings_used"]
@@ -50,7 +50,7 @@ def test_a_map_goes_around_all_places_at_the_depth_of_its_sensors():
     assert grid.z == pytest.approx(float(survey.whole.receivers[:, 2].mean()))
     assert grid.x[-1] > 200.0
     assert (grid.x[0] < survey.whole.receivers[:, 0].min(), grid.x.diff().unique().tolist()) == (True, [10.0])
-    snr_map = survey.map(survey.estimate(), grid, sender, outage_kbps=12.0)
+    snr_map = survey.map(grid, sender, outage_kbps=12.0)
     assert snr_map.mean.shape == (len(grid.y), len(grid.x))
     assert snr_map.threshold == 12.0
     with pytest.raises(ValueError, match="500 m leaves fewer than 3 nodes"):

@@ -74,24 +74,24 @@ def _estimate(config: EstimateConfig, survey: Survey, grid: Grid, sender: Tensor
     _tell(estimate_report.introduction(survey, config.data or ""))
     # Outliers have been removed already.
     estimate = survey.estimate(build.make_estimator(replace(config.estimator, robust=False)))
-    _tell(estimate_report.table(estimate, used.heard))
+    _tell(estimate_report.table(estimate, survey.posterior, used.heard))
     doubts = survey.doubts(estimate)
     _doubt(doubts)
-    diagnostics = survey.diagnose(estimate)
+    diagnostics = survey.diagnose()
     judged = estimate_report.diagnostic_metrics(diagnostics, survey.line, used.names)
     _tell(estimate_report.diagnosis(judged, used.heard))
-    suspicions = list(estimate_report.suspicions(judged, used.heard, len(used.names)))
+    suspicions = list(estimate_report.suspicions(judged, used.heard))
     _doubt(suspicions)
     if not doubts + suspicions:
         few = used.heard < estimate_report.LEAST
         _tell(["too few readings to tell what is wrong" if few else "nothing looks wrong"])
-    snr_map = survey.map(estimate, grid, sender, config.map.capacity_kbps)
+    snr_map = survey.map(grid, sender, config.map.capacity_kbps)
     run_folder.write_estimate(folder, snr_map, diagnostics, survey.line)
     if pictures.wanted(config.logging):
         from uwirl.study.estimate_figure import estimate_figure
 
         pictures.save(estimate_figure(used.readings, estimate, diagnostics, snr_map, used.names), folder, "estimate")
-    metrics = run_folder.estimate_metrics(estimate) | survey.counts
+    metrics = run_folder.estimate_metrics(estimate) | estimate_report.open_metrics(survey.posterior) | survey.counts
     metrics |= {"cost": float(estimate.cost), "evaluations": estimate.evaluations} | judged
     return metrics | {"map_from_m": sender.tolist(), "map_capacity_kbps": snr_map.threshold}
 

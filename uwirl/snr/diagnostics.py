@@ -1,11 +1,14 @@
-"""Check of the model (9)-(13) by cross validation: each reading is predicted from all others.
+"""Check of the model (9)-(13) by cross validation, and tests of sensors and readings, whatever the fading may be.
 
-With P = Omega^-1 - Omega^-1 H (H' Omega^-1 H)^-1 H' Omega^-1, the prediction errors of the readings of a set b are
+With P = Omega^-1 - Omega^-1 H (H' Omega^-1 H)^-1 H' Omega^-1, an offset of unknown size along u (1 for the readings of
+a link or of a sensor, or for one reading, and 0 for the others) is estimated as
 
-    r_b = (P_bb)^-1 [P (Y + epsilon)]_b,   cov r_b = (P_bb)^-1
+    u' P (Y + epsilon) / (u' P u),   with the variance 1 / (u' P u)
 
-(O. Dubrule: "Cross validation of kriging in a unique neighborhood", Mathematical Geology 15, 687-699, 1983). K and n
-are fitted without them each time; the fading is kept.
+For a link or a reading this is its difference from what the others predict (O. Dubrule: "Cross validation of kriging in
+a unique neighborhood", Mathematical Geology 15, 687-699, 1983). K and n are fitted without it, and so is the posterior
+of the fading (`uwirl.snr.posterior`). Readings of a link are left out together, because they share its shadowing. A
+healthy sensor has an offset, too, because of its shadowing: with a single link it differs from others as links do.
 """
 
 from __future__ import annotations
@@ -17,15 +20,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwirl.world.acoustics import Channel
-from uwirl.world.geometry import distances
+from uwirl.snr.links import Links
+from uwirl.snr.posterior import NOTHING, FadingPosterior
 from uwirl.world.readings import Readings
 
 BINS = 20
 # Pairs farther apart than this fraction of the longest distance are few, and are not used.
 REACH = 0.5
-# If P_bb is below this fraction of a reading's precision, the other readings do not predict it.
-NOTHING = 1e-9
 
 
 class Semivariogram(NamedTuple):
@@ -44,17 +45,40 @@ class Semivariogram(NamedTuple):
     pairs: Tensor
 
 
+class Offsets(NamedTuple):
+    """Estimated offsets along K directions; nan if path loss explains them as well.
+
+    Attributes:
+        mean: [K], dB.
+        standardized: mean divided by its standard deviation, [K].
+        p: probability of an offset as large as this, or larger, if there is none, [K].
+    """
+
+    mean: Tensor
+    standardized: Tensor
+    p: Tensor
+
+    @property
+    def worst(self) -> int | None:
+        """Number of the least probable one; None if there is none."""
+        if bool(self.p.isnan().all()):
+            return None
+        least = self.p == self.p[~self.p.isnan()].min()
+        return int(torch.where(least, self.standardized.abs(), -1.0).argmax())
+
+
 @dataclass(frozen=True)
 class Diagnostics:
     """Diagnostics of m readings, in the order of messages, then of sensors.
 
     Attributes:
-        residual: reading minus its prediction from the others, [m], dB; nan if they do not predict it.
+        residual: reading minus its prediction from all other links, [m], dB; nan if they do not predict it.
         standardized: residual divided by its standard deviation, [m].
-        whitened: m - 2 independent standard normal numbers if the model holds.
-        path_loss: reading minus the path loss fitted to the others by ordinary least squares, [m], dB.
-        sensor_mean: mean residual of each sensor, predicted from the other sensors, [N], dB; nan if not predicted.
-        sensor_standardized: sensor_mean divided by its standard deviation, [N].
+        whitened: m - 2 independent standard normal numbers if the model holds, at the most probable fading.
+        path_loss: reading minus the path loss fitted to the other links by ordinary least squares, [m], dB.
+        links: number of distinct links.
+        reading: offset of each reading from all others, repeats of its link included, [m].
+        sensor: common offset of each sensor's readings, [N].
         semivariogram: semivariogram of the residuals of path loss.
     """
 
@@ -62,8 +86,9 @@ class Diagnostics:
     standardized: Tensor
     whitened: Tensor
     path_loss: Tensor
-    sensor_mean: Tensor
-    sensor_standardized: Tensor
+    links: int
+    reading: Offsets
+    sensor: Offsets
     semivariogram: Semivariogram
 
     @property
@@ -103,93 +128,100 @@ class Diagnostics:
         square = self.skewness**2 + 0.25 * self.excess_kurtosis**2
         return math.exp(-len(self.whitened) / 12.0 * square) if math.isfinite(square) else math.nan
 
-    @property
-    def worst(self) -> int:
-        """Number of the reading with the largest standardized residual."""
-        return int(self.standardized.abs().nan_to_num(0.0).argmax())
+    def accused(self, false_alarm: float) -> list[int]:
+        """Numbers of the sensors whose offset is too large, most certain first.
 
-    @property
-    def worst_sensor(self) -> int | None:
-        """Number of the sensor with the largest standardized mean; None if no sensor can be predicted from others."""
-        z = self.sensor_standardized.abs()
-        return None if bool(z.isnan().all()) else int(z.nan_to_num(0.0).argmax())
+        Args:
+            false_alarm: probability that any sensor of a log is accused if all are healthy (Bonferroni).
+        """
+        p = self.sensor.p
+        guilty = p * int((~p.isnan()).sum()) < false_alarm
+        return [k for k in p.argsort(stable=True).tolist() if guilty[k]]
 
     def _moment(self, k: int) -> float:
         z = self.whitened - self.whitened.mean()
         return float((z**k).mean() / z.square().mean() ** (k / 2))
 
 
-def diagnose(readings: Readings, channel: Channel) -> Diagnostics:
+def diagnose(readings: Readings, posterior: FadingPosterior) -> Diagnostics:
     """Diagnostics of one data set.
 
     Args:
-        readings: about 3,000 at most, because their covariance is inverted.
-        channel: estimated channel; only its fading is used.
-
-    Raises:
-        torch.linalg.LinAlgError: repeated readings of a link, without multipath.
+        readings: the data set.
+        posterior: of its fading, for a coarse grid, because a reading left out may widen it.
     """
-    heard = ~readings.snr[0].isnan()
-    transmitter, receiver = heard.nonzero().unbind(-1)
-    first, second = readings.transmitters[transmitter], readings.receivers[receiver]
-    length = torch.linalg.vector_norm(first - second, dim=-1)
-    y = readings.snr[0][heard] + channel.budget.known_loss_dB(length)
-    H = torch.stack([torch.ones_like(length), -10.0 * torch.log10(length)], -1)
-    zeta2, varphi, rho2 = (torch.as_tensor(x, dtype=y.dtype, device=y.device).reshape(()) for x in _fading(channel))
-    apart = distances(first, first) + distances(second, second)
-    omega = zeta2 * torch.exp(-apart / varphi)
-    omega.diagonal().add_(rho2)
-    factor = torch.linalg.cholesky(omega)
+    links = posterior.links
+    repeats, link, deviation = links.repeats[links.link], links.link, links.deviation[0]
+    product, information = posterior.along(torch.eye(len(links.repeats)).to(links.y))
+    residual, standardized = _left_out(posterior, product, information)
 
-    white_H, white_y = (torch.linalg.solve_triangular(factor, x, upper=False) for x in (H, y[:, None]))
-    half = torch.linalg.solve_triangular(factor, torch.eye(len(y)).to(y), upper=False)
-    # In the m - 2 directions orthogonal to path loss, the whitened readings are independent.
-    reflectors = torch.geqrf(white_H)
-    left, whitened = (torch.ormqr(*reflectors, x, transpose=True)[2:] for x in (half, white_y))
-    whitened = whitened[:, 0]
-    P = left.mT @ left
-    Py = left.mT @ whitened
-    precision = P.diagonal()
-    # Diagonal of Omega^-1: precision of the prediction of a reading if path loss were known.
-    least = NOTHING * half.square().sum(0)
-    predicted = precision > least
-    residual = torch.where(predicted, Py / precision, torch.nan)
+    # A reading is the mean of its link plus its deviation.
+    reading = product[..., link] / repeats + deviation, information[..., link] / repeats.square() + 1.0 - 1.0 / repeats
+    receiver = (~readings.snr[0].isnan()).nonzero()[:, 1]
+    sensors = torch.zeros(len(links.repeats), len(readings.receivers)).to(links.y)
+    sensors[link, receiver] = 1.0
 
-    sensors = [_block(P, Py, (receiver == k).nonzero()[:, 0], least) for k in range(len(readings.receivers))]
-    mean, standardized = torch.tensor(sensors, dtype=y.dtype).unbind(-1)
-    theta = torch.linalg.lstsq(H, y[:, None], driver="gels").solution[:, 0]
-    loss = y - H @ theta
-    leverage = torch.linalg.qr(H).Q.square().sum(-1)
+    theta = torch.linalg.lstsq(links.H[link], _observed(links)[:, None], driver="gels").solution[:, 0]
+    loss = links.y[0] - links.H @ theta
+    leverage = torch.linalg.qr(links.H * links.repeats.sqrt()[:, None]).Q.square().sum(-1)
+    without = torch.where(leverage < 1.0 - NOTHING, loss / (1.0 - leverage), torch.nan)
     return Diagnostics(
         residual=residual,
-        standardized=residual * precision.clamp_min(0.0).sqrt(),
-        whitened=whitened,
-        path_loss=torch.where(leverage < 1.0 - NOTHING, loss / (1.0 - leverage), torch.nan),
-        sensor_mean=mean,
-        sensor_standardized=standardized,
-        semivariogram=_semivariogram(loss, apart, zeta2, varphi, rho2),
+        standardized=standardized,
+        whitened=_whitened(posterior),
+        path_loss=without[link] + deviation,
+        links=len(links.repeats),
+        reading=_offsets(posterior, *reading),
+        sensor=_offsets(posterior, *posterior.along(sensors)),
+        semivariogram=_semivariogram(loss[link] + deviation, posterior),
     )
 
 
-def _fading(channel: Channel) -> tuple[float | Tensor, float | Tensor, float | Tensor]:
-    return channel.zeta_dB**2, channel.varphi_m, channel.rho_dB**2
+def _observed(links: Links) -> Tensor:
+    return links.y[0, links.link] + links.deviation[0]
 
 
-def _block(P: Tensor, Py: Tensor, rows: Tensor, least: Tensor) -> tuple[float, float]:
-    """Mean residual, dB, of readings predicted from all others, and the same in standard deviations."""
-    if not len(rows):
-        return math.nan, math.nan
-    block = P[rows[:, None], rows]
-    eigenvalues, vectors = torch.linalg.eigh(block)
-    # Without these readings path loss is not identifiable, so nothing predicts them.
-    if float(eigenvalues[0]) < float(least[rows].min()):
-        return math.nan, math.nan
-    share = vectors.mT @ P.new_full((len(rows),), 1.0 / len(rows))
-    mean = float((share / eigenvalues) @ (vectors.mT @ Py[rows]))
-    return mean, mean / math.sqrt(float((share.square() / eigenvalues).sum()))
+def _left_out(posterior: FadingPosterior, product: Tensor, information: Tensor) -> tuple[Tensor, Tensor]:
+    """Readings minus their predictions from all other links, [m], in dB and in standard deviations."""
+    links, beliefs = posterior.links, posterior.without(product, information)
+    offset = product / information
+    mean = beliefs.mean(offset)
+    # A single reading has more multipath than the mean of its link.
+    variance = beliefs.rho2 * (1.0 / information + 1.0 - 1.0 / links.repeats) + (offset - mean[:, None, None]).square()
+    residual = mean[0, links.link] + links.deviation[0]
+    return residual, residual / beliefs.mean(variance)[0, links.link].sqrt()
 
 
-def _semivariogram(residual: Tensor, apart: Tensor, zeta2: Tensor, varphi: Tensor, rho2: Tensor) -> Semivariogram:
+def _offsets(posterior: FadingPosterior, product: Tensor, information: Tensor) -> Offsets:
+    beliefs, offset = posterior.without(product, information), product / information
+    mean = beliefs.mean(offset)
+    variance = beliefs.rho2 / information + (offset - mean[:, None, None]).square()
+    p = beliefs.beyond(offset * (information / beliefs.scale).sqrt())
+    return Offsets(mean[0], (mean / beliefs.mean(variance).sqrt())[0], p[0])
+
+
+def _whitened(posterior: FadingPosterior) -> Tensor:
+    """[m - 2], at the most probable fading: L - 2 numbers from the links' means, m - L from the repeats."""
+    links, beliefs = posterior.links, posterior.beliefs
+    p, g = divmod(int(beliefs.weight.argmax()), len(posterior.log_ratio))
+    axes, rho = posterior.axes[p], beliefs.scale[0, p, g, 0].sqrt()
+    root = axes.precision(posterior.log_ratio[g : g + 1].exp())[0].sqrt()
+    # In the L - 2 directions orthogonal to path loss, the whitened means are independent.
+    reflectors = torch.geqrf(root[:, None] * axes.H)
+    between = torch.ormqr(*reflectors, (root * axes.y[0])[:, None], transpose=True)[2:, 0]
+    # Each repeat against the mean of those before it.
+    order = links.link.argsort(stable=True)
+    deviation, link = links.deviation[0, order], links.link[order]
+    before = torch.arange(len(link)).to(link) - (links.repeats.cumsum(0) - links.repeats).to(link)[link]
+    again = before > 0
+    earlier = (deviation.cumsum(0) - deviation)[again] / before[again]
+    within = (deviation[again] - earlier) * (before / (before + 1.0))[again].sqrt()
+    return torch.cat([between, within]) / rho
+
+
+def _semivariogram(residual: Tensor, posterior: FadingPosterior) -> Semivariogram:
+    links = posterior.links
+    apart = links.apart(links.first, links.second)[links.link[:, None], links.link]
     i, j = torch.triu_indices(len(residual), len(residual), 1)
     d, half_square = apart[i, j], 0.5 * (residual[i] - residual[j]).square()
     bins = (d / (REACH * d.max()).clamp_min(1e-300) * BINS).long().clamp_max(BINS)
@@ -198,8 +230,7 @@ def _semivariogram(residual: Tensor, apart: Tensor, zeta2: Tensor, varphi: Tenso
     )
     filled = (pairs > 0) & (torch.arange(BINS + 1) < BINS)
     pairs, distance = pairs[filled], total[filled] / pairs[filled]
-    fitted = rho2 - zeta2 * torch.expm1(-distance / varphi)
-    return Semivariogram(distance, sums[filled] / pairs, fitted, pairs)
+    return Semivariogram(distance, sums[filled] / pairs, posterior.semivariance(distance), pairs)
 
 
 def _rms(values: Tensor) -> float:

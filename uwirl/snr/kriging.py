@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from uwirl.snr.model import NOISELESS
+from uwirl.snr.model import NOISELESS, design
 from uwirl.world.acoustics import Channel
 from uwirl.world.chunks import at_once
 from uwirl.world.geometry import distances
@@ -57,7 +57,7 @@ class Kriging:
         omega = self._covariance(self.first, self.second)
         omega.diagonal().add_(self.rho2.clamp_min(NOISELESS))
         self.factor = torch.linalg.cholesky(omega)
-        H = _design(distance)
+        H = design(distance)
         y = readings.snr[0][heard] + channel.budget.known_loss_dB(distance)
         # L^-1 times the residual and H, [m, 3], with Omega = L L'.
         residual = (y - H @ self.theta)[:, None]
@@ -97,7 +97,7 @@ class Kriging:
     def _trend(self, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
         """h' theta - epsilon, [Q], and h, [Q, 2]."""
         distance = torch.linalg.vector_norm(first - second, dim=-1)
-        h = _design(distance)
+        h = design(distance)
         return h @ self.theta - self.channel.budget.known_loss_dB(distance), h
 
     def _predict(self, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
@@ -120,7 +120,3 @@ class Kriging:
         """Capacity of the worse link of a relay at [Q, 3] between two nodes [3], at the expected SNR, [Q], kbit/s."""
         links = [self.mean(node, position) for node in (source, destination)]
         return self.channel.capacity_kbps(torch.minimum(*links))
-
-
-def _design(distance: Tensor) -> Tensor:
-    return torch.stack([torch.ones_like(distance), -10.0 * torch.log10(distance)], -1)

@@ -106,6 +106,11 @@ class Spectrum(NamedTuple):
         return torch.stack([self.rotate(column) for column in H.unbind(-1)], -1)
 
 
+def design(distance: Tensor) -> Tensor:
+    """Rows of H, [1, -10 log10 l], for distances [...] in m, [..., 2]."""
+    return torch.stack([torch.ones_like(distance), -10.0 * torch.log10(distance)], -1)
+
+
 def observations(readings: Readings, budget: LinkBudget) -> Iterator[tuple[Tensor, Tensor, Geometry]]:
     """Groups of data sets with the same existing readings: numbers [b], Y + epsilon [b, S, N] and geometry.
 
@@ -113,8 +118,8 @@ def observations(readings: Readings, budget: LinkBudget) -> Iterator[tuple[Tenso
         UnidentifiableError: fewer than three readings, or all over one distance, so that the slope is undetermined.
     """
     distance = readings.distance
-    log_distance = -10.0 * torch.log10(distance)
-    H = torch.stack([torch.ones_like(log_distance), log_distance], -1)
+    H = design(distance)
+    log_distance = H[..., 1]
     y = readings.snr + budget.known_loss_dB(distance)
     heard = ~readings.snr.isnan()
     if not distance.numel():

@@ -126,20 +126,20 @@ def _quantiles(axes: Axes, diagnostics: Diagnostics) -> None:
     axes.fill_between(normal, normal - half, normal + half, color=GREY, alpha=0.25, lw=0.0, label="95 % if normal")
     axes.axline((0.0, 0.0), slope=1.0, color=GREY, lw=1.2)
     axes.plot(normal, z, "o", color=BLUE, ms=4, label="readings")
-    axes.set(xlabel="normal quantile", ylabel="leave-one-out residual / its standard deviation")
+    axes.set(xlabel="normal quantile", ylabel="leave-one-link-out residual / its standard deviation")
     axes.set_title("(e) readings against what the others predict")
     axes.grid(alpha=0.3)
     axes.legend(loc="upper left", fontsize=9)
 
 
 def _semivariogram(axes: Axes, diagnostics: Diagnostics, estimate: ChannelEstimate) -> None:
-    bins, channel = diagnostics.semivariogram, estimate.channel
-    axes.plot(bins.distance, bins.empirical, "o", color=BLUE, label="what path loss leaves")
-    zeta2, varphi, rho2 = float(channel.zeta_dB**2), float(channel.varphi_m), float(channel.rho_dB**2)
-    d = torch.linspace(0.0, float(bins.distance.max()), 300, dtype=torch.float64)
+    bins = diagnostics.semivariogram
+    zeta2, varphi, rho2 = estimate.value[0, 2:].tolist()
+    known = bool(estimate.identifiable[0, 2:].all())
     fit = f"$\\zeta^2 = {zeta2:.2f}$, $\\varphi = {varphi:.1f}$ m, $\\rho^2 = {rho2:.2f}$"
-    label = f"fitted: {fit}" if zeta2 else f"fitted: $\\zeta^2 + \\rho^2 = {rho2:.2f}$, correlation unidentifiable"
-    axes.plot(d, rho2 - zeta2 * torch.expm1(-d / varphi), color=ORANGE, lw=2.0, label=label)
+    label = f"fitted: {fit}" if known else "mean of all fading that is possible"
+    axes.plot(bins.distance, bins.empirical, "o", color=BLUE, label="what path loss leaves")
+    axes.plot(bins.distance, bins.fitted, color=ORANGE, lw=2.0, label=label)
     axes.set(xlabel="distance between links $|p - p'| + |q - q'|$ (m)", ylabel="semivariogram (dB$^2$)")
     axes.set_title("(f) likeness of neighbouring links")
     axes.set_ylim(bottom=0.0)

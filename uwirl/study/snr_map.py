@@ -8,13 +8,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uwirl.snr.kriging import Kriging
+from uwirl.snr.integrated_kriging import IntegratedKriging
 
 NODES = 3500
 # Margin of the map, as a fraction of the largest distance between places along an axis.
 MARGIN = 0.1
 # Largest product of nodes and readings, proportional to the time: some minutes.
-MAX_ENTRIES = 2**30
+MAX_ENTRIES = 2**28
 # Closer to the sender than this, the path-loss model is not valid (K refers to 1 m).
 NEAREST_M = 1.0
 
@@ -93,11 +93,11 @@ def make_grid(places: Tensor, z: float, spacing: float | None, readings: int) ->
     return Grid(x + 0.5 * (x1 - x[-1]), y + 0.5 * (y1 - y[-1]), z, spacing)
 
 
-def make_map(kriging: Kriging, grid: Grid, sender: Tensor, threshold_kbps: float | None) -> SnrMap:
+def make_map(kriging: IntegratedKriging, grid: Grid, sender: Tensor, threshold_kbps: float | None) -> SnrMap:
     """Krige the links from a place.
 
     Args:
-        kriging: predictor from the readings.
+        kriging: predictor from the readings of one data set.
         grid: grid points.
         sender: the vehicle's end of the links, [3], m.
         threshold_kbps: a smaller capacity counts as outage; None for half of the map's median capacity.
@@ -105,13 +105,13 @@ def make_map(kriging: Kriging, grid: Grid, sender: Tensor, threshold_kbps: float
     places = grid.places
     distance = torch.linalg.vector_norm(places - sender, dim=-1)
     near = distance < min(NEAREST_M, 0.5 * grid.spacing)
-    mean, std = kriging.predict(sender, places[~near])
-    channel = kriging.channel
-    capacity = channel.capacity_kbps(mean)
+    mean = kriging.mean(sender, places[~near])[0]
+    capacity = kriging.budget.capacity_kbps(mean)
     threshold = threshold_kbps or 0.5 * float(capacity.median())
-    outage = torch.special.ndtr((channel.budget.snr_for_dB(threshold) - mean) / std)
+    limit = kriging.budget.snr_for_dB(threshold)
+    (_, std), outage = kriging.predict(sender, places[~near]), kriging.below(sender, places[~near], limit)
 
     def whole(values: Tensor) -> Tensor:
         return values.new_full(distance.shape, math.nan).masked_scatter(~near, values).view(len(grid.y), len(grid.x))
 
-    return SnrMap(grid, sender, whole(mean), whole(std), whole(capacity), threshold, whole(outage))
+    return SnrMap(grid, sender, whole(mean), whole(std[0]), whole(capacity), threshold, whole(outage[0]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import torch
@@ -11,12 +12,14 @@ from torch import Tensor
 from uwirl.snr.diagnostics import Diagnostics, diagnose
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.snr.estimators import Estimator, maximum_likelihood
-from uwirl.snr.kriging import Kriging
+from uwirl.snr.integrated_kriging import IntegratedKriging
+from uwirl.snr.links import Links
 from uwirl.snr.log import Log, read_log
 from uwirl.snr.log_file import LogError
 from uwirl.snr.model import UnidentifiableError, observations
 from uwirl.snr.outliers import reject_outliers
 from uwirl.snr.plausibility import ImplausibleError, check_units, implausible
+from uwirl.snr.posterior import FadingPosterior
 from uwirl.study.snr_map import Grid, SnrMap, make_grid, make_map
 from uwirl.world.acoustics import LinkBudget
 from uwirl.world.readings import Readings
@@ -28,7 +31,7 @@ class Survey:
 
         survey = Survey.read("readings.csv", LinkBudget(N0_dB=-160.0, bandwidth_khz=10.0))
         estimate = survey.estimate()
-        snr_map = survey.map(estimate, *survey.frame(spacing_m=2.0))
+        snr_map = survey.map(*survey.frame(spacing_m=2.0))
 
     Attributes:
         whole: the log.
@@ -96,9 +99,14 @@ class Survey:
         """Sentences on what cannot be true in the log, or in an estimate from it; empty if nothing looks wrong."""
         return [*self.whole.doubts, *implausible(self.used.readings, estimate)]
 
-    def diagnose(self, estimate: ChannelEstimate) -> Diagnostics:
-        """Whether those readings look as an estimate says, each held against what the others predict, [m]."""
-        return diagnose(self.used.readings, estimate.channel)
+    @cached_property
+    def posterior(self) -> FadingPosterior:
+        """What the readings that count leave open about the fading."""
+        return FadingPosterior.coarse(Links.of(self.used.readings, self.budget))
+
+    def diagnose(self) -> Diagnostics:
+        """Whether those readings look as the model says, each held against what the others predict, [m]."""
+        return diagnose(self.used.readings, self.posterior)
 
     def frame(
         self, from_m: list[float] | None = None, z_m: float | None = None, spacing_m: float | None = None
@@ -119,16 +127,15 @@ class Survey:
         z = float(receivers[:, 2].mean()) if z_m is None else z_m
         return make_grid(places, z, spacing_m, self.used.heard), sender
 
-    def map(self, estimate: ChannelEstimate, grid: Grid, sender: Tensor, outage_kbps: float | None = None) -> SnrMap:
-        """Expected SNR, its uncertainty, capacity and outage of links from one place, by Kriging.
+    def map(self, grid: Grid, sender: Tensor, outage_kbps: float | None = None) -> SnrMap:
+        """Expected SNR, its uncertainty, capacity and outage of links from one place, whatever the fading may be.
 
         Args:
-            estimate: of the channel.
             grid: where the links end.
             sender: where they begin, [3], m.
             outage_kbps: what counts as outage below it, kbit/s; None for half of the map's median capacity.
         """
-        return make_map(Kriging(self.used.readings, estimate.channel), grid, sender, outage_kbps)
+        return make_map(IntegratedKriging(self.posterior.refined(), self.budget), grid, sender, outage_kbps)
 
 
 def _check(path: Path, readings: Readings, budget: LinkBudget) -> None:
