@@ -51,7 +51,7 @@ class Collocation:
         self.worse_link = ca.Function("worse_link", [x], [ca.fmax(*links)])
         low, high = self._box()
         upper = ca.vertcat(ca.DM.zeros(defects.numel()), ca.DM.inf(g.numel() - defects.numel()))
-        self.bounds = {"lbx": low.numpy(), "ubx": high.numpy(), "lbg": 0.0, "ubg": upper}
+        self.bounds = {"lbx": low.numpy(force=True), "ubx": high.numpy(force=True), "lbg": 0.0, "ubg": upper}
 
     def _always(self, values: Tensor) -> Any:
         """One number for each vehicle [M], repeated for each node."""
@@ -133,7 +133,7 @@ class Collocation:
         parts = guess.eta, guess.nu, guess.tau / self.vehicle.tau_max
         if any(part.shape != (self.N + 1, self.M, 4) for part in parts):
             raise ValueError(f"guesses: {guess.name} is not [{self.N + 1}, {self.M}, 4]")
-        eta, nu, u = (part.double().cpu().mT.flatten(1).T.numpy() for part in parts)
+        eta, nu, u = (part.double().mT.flatten(1).T.numpy(force=True) for part in parts)
         x = self.ca.vertcat(eta, nu)
         return self.ca.veccat(x, u, self.worse_link(x))
 

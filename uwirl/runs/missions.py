@@ -24,6 +24,7 @@ from uwirl.study.evaluation import Evaluation, table
 from uwirl.study.tensorboard import TensorBoard
 from uwirl.study.warnings import campaign_warnings, flight_warnings
 from uwirl.world.agent import Agent
+from uwirl.world.chunks import at_once
 from uwirl.world.relay import Relay
 
 log = logging.getLogger("uwirl")
@@ -158,7 +159,8 @@ def campaign(config: Config, agent_in: Callable[[Relay], Agent], folder: Path) -
         if not shown:
             shown.append((some, evaluation))
 
-    outcomes = fly(worlds, layouts, agent_in, build.make_evaluator(config, worlds), BATCH, watch)
+    batch = at_once(BATCH, layouts.kind.device)
+    outcomes = fly(worlds, layouts, agent_in, build.make_evaluator(config, worlds), batch, watch)
     for line in outcomes.table():
         log.info("%s", line)
     run_folder.write_layouts(folder, layouts, outcomes)

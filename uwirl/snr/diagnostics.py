@@ -222,13 +222,11 @@ def _whitened(posterior: FadingPosterior) -> Tensor:
 def _semivariogram(residual: Tensor, posterior: FadingPosterior) -> Semivariogram:
     links = posterior.links
     apart = links.apart(links.first, links.second)[links.link[:, None], links.link]
-    i, j = torch.triu_indices(len(residual), len(residual), 1)
+    i, j = torch.triu_indices(len(residual), len(residual), 1, device=residual.device)
     d, half_square = apart[i, j], 0.5 * (residual[i] - residual[j]).square()
     bins = (d / (REACH * d.max()).clamp_min(1e-300) * BINS).long().clamp_max(BINS)
-    pairs, total, sums = (
-        torch.zeros(BINS + 1, dtype=d.dtype).index_add(0, bins, x) for x in (torch.ones_like(d), d, half_square)
-    )
-    filled = (pairs > 0) & (torch.arange(BINS + 1) < BINS)
+    pairs, total, sums = (d.new_zeros(BINS + 1).index_add(0, bins, x) for x in (torch.ones_like(d), d, half_square))
+    filled = (pairs > 0) & (torch.arange(BINS + 1, device=d.device) < BINS)
     pairs, distance = pairs[filled], total[filled] / pairs[filled]
     return Semivariogram(distance, sums[filled] / pairs, posterior.semivariance(distance), pairs)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from torch import Tensor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,9 +56,10 @@ def read_whole(path: Path, most_bytes: int) -> bytes:
 
 
 def write_arrays(path: Path, **arrays: Any) -> None:
-    """Write named arrays to a compressed .npz file."""
+    """Write named arrays, tensors of any device and numbers to a compressed .npz file."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
+    here: dict[str, Any] = {name: x.numpy(force=True) if isinstance(x, Tensor) else x for name, x in arrays.items()}
+    np.savez_compressed(buffer, **here)
     write_whole(path, buffer.getvalue())
 
 

@@ -250,13 +250,13 @@ def write_trajectory(folder: Path, evaluation: Evaluation, messages: LinksAtMess
     trajectory = evaluation.trajectory
     write_arrays(
         folder / "trajectory.npz",
-        time_s=trajectory.time.numpy(force=True),
-        eta=trajectory.eta[:, 0].numpy(force=True),
-        nu=trajectory.nu[:, 0].numpy(force=True),
-        tau=trajectory.tau[:, 0].numpy(force=True),
-        link_capacity_kbps=evaluation.link_capacity[:, 0].numpy(force=True),
-        message_time_s=messages.time.numpy(force=True),
-        link_capacity_shadowed_kbps=messages.link_capacity.numpy(force=True),
+        time_s=trajectory.time,
+        eta=trajectory.eta[:, 0],
+        nu=trajectory.nu[:, 0],
+        tau=trajectory.tau[:, 0],
+        link_capacity_kbps=evaluation.link_capacity[:, 0],
+        message_time_s=messages.time,
+        link_capacity_shadowed_kbps=messages.link_capacity,
     )
 
 
@@ -283,10 +283,10 @@ def write_layouts(folder: Path, layouts: Layouts, outcomes: Outcomes) -> None:
     obstacles = layouts.obstacles
     write_arrays(
         folder / "layouts.npz",
-        start=layouts.start.numpy(force=True),
-        centre=obstacles.centre.where(obstacles.present[..., None], math.nan).numpy(force=True),
-        radius=obstacles.radius.numpy(force=True),
-        **{field.name: getattr(outcomes, field.name).numpy(force=True) for field in fields(outcomes)},
+        start=layouts.start,
+        centre=obstacles.centre.where(obstacles.present[..., None], math.nan),
+        radius=obstacles.radius,
+        **{field.name: getattr(outcomes, field.name) for field in fields(outcomes)},
     )
 
 
@@ -294,15 +294,15 @@ def write_estimate(folder: Path, snr_map: SnrMap, diagnostics: Diagnostics, line
     """estimate.npz: the map [Y, X] over x_m and y_m, and of m readings line and residual."""
     write_arrays(
         folder / "estimate.npz",
-        x_m=snr_map.grid.x.numpy(),
-        y_m=snr_map.grid.y.numpy(),
+        x_m=snr_map.grid.x,
+        y_m=snr_map.grid.y,
         z_m=snr_map.grid.z,
-        from_m=snr_map.sender.numpy(),
-        snr_mean_dB=snr_map.mean.numpy(),
-        snr_std_dB=snr_map.std.numpy(),
-        capacity_kbps=snr_map.capacity.numpy(),
-        outage=snr_map.outage.numpy(),
-        line=line.numpy(),
-        residual_dB=diagnostics.residual.numpy(),
-        standardized=diagnostics.standardized.numpy(),
+        from_m=snr_map.sender,
+        snr_mean_dB=snr_map.mean,
+        snr_std_dB=snr_map.std,
+        capacity_kbps=snr_map.capacity,
+        outage=snr_map.outage,
+        line=line,
+        residual_dB=diagnostics.residual,
+        standardized=diagnostics.standardized,
     )

@@ -88,7 +88,10 @@ def make_grid(places: Tensor, z: float, spacing: float | None, readings: int) ->
             f"{spacing:g} m makes a map of {nodes:,} nodes, too many from {readings:,} readings; "
             f"choose more than {1.01 * least:.2g} m"
         )
-    x, y = (torch.arange(a, b + 1e-9 * spacing, spacing, dtype=torch.float64) for a, b in ((x0, x1), (y0, y1)))
+    x, y = (
+        torch.arange(a, b + 1e-9 * spacing, spacing, dtype=torch.float64, device=places.device)
+        for a, b in ((x0, x1), (y0, y1))
+    )
     # The grid is centred in the covered range.
     return Grid(x + 0.5 * (x1 - x[-1]), y + 0.5 * (y1 - y[-1]), z, spacing)
 
