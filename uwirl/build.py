@@ -104,7 +104,7 @@ def make_relay(config: Config, streams: RandomStreams | None = None) -> Relay:
     vehicle = make(config.vehicle, dtype=dtype, device=config.device)
     _check_vehicle(vehicle, torch.zeros(8, 2, 3, dtype=dtype, device=config.device), config.scenario.dt_s)
     streams = streams or RandomStreams.worlds(config.seed, 1, config.device)
-    return Relay(make_scenario(config), vehicle, make_channel(config.channel), streams)
+    return Relay(make_scenario(config), vehicle, make_channel(config.channel), streams, config.compile)
 
 
 def _check_vehicle(vehicle: Dynamics, rest: Tensor, dt: float) -> None:

@@ -314,3 +314,9 @@ def test_step_limit_is_rk4s():
 
     assert growth(-RK4_STABILITY) <= 1.0
     assert growth(-RK4_STABILITY - 0.001) > 1.0
+
+
+def test_a_compiler_that_is_not_there(make_config, monkeypatch):
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    with pytest.raises(ConfigError, match=r"^compile: needs a C\+\+ compiler"):
+        validate(make_config("compile=true"))

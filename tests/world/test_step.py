@@ -14,6 +14,7 @@ from uwirl.world.navigation import Navigation
 from uwirl.world.observation import Observation
 from uwirl.world.relay import Relay
 from uwirl.world.trajectory import WorldState
+from uwirl.world.truth import truth_of
 
 WORLDS, STEPS = 5, 40
 DRIFTING = (
@@ -108,6 +109,24 @@ def test_step_changes_nothing_that_it_is_given(env: Relay):
     # Nor does it look back at what the vehicles have done elsewhere in between.
     env.step(first[0], -tau)
     identical(env.step(state, tau), first)
+
+
+@pytest.mark.parametrize("name", ["plain", "full"])
+def test_a_step_is_one_graph_for_a_compiler(make_pair, name: str):
+    """Only a message breaks it, because its readings are there at some steps."""
+    env = make_pair("channel=acoustic_24khz", DRIFTING, **worlds(name) | {"streaming": False})
+    state, tau = env.start(), torch.full((WORLDS, 2, 4), 30.0, dtype=torch.float64)
+    torch.compiler.reset()
+    with torch.no_grad():
+        identical(torch.compile(env.step, backend="eager", fullgraph=True)(state, tau), env.step(state, tau))
+
+
+@pytest.mark.slow
+def test_a_compiled_flight_differs_by_rounding(make_pair):
+    env = make_pair("channel=acoustic_24khz", DRIFTING)
+    compiled = Relay(env.scenario, env.vehicle, truth_of(env).channel, env.streams, compiled=True)
+    flights = (world.rollout(Remembering(), steps=STEPS) for world in (env, compiled))
+    torch.testing.assert_close(*(flight.components for flight in flights), rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("stop", [1, 10, 25])

@@ -85,6 +85,7 @@ class Config(Section):
     seed: int = ruled(valid_seed)  # of everything random, in [0, 2^63)
     threads: int = ruled(at_least(1))  # of torch
     device: str = MISSING  # cpu | cuda | cuda:N | mps
+    compile: bool = MISSING  # the world's step: half a minute before the first one, worth it for thousands of worlds
     dtype: Dtype = MISSING  # of the environment; learning is float64 always
 
     def problems(self) -> Iterator[tuple[str, str]]:

@@ -6,6 +6,8 @@ Rules of one section stand with its schema, those between sections here.
 from __future__ import annotations
 
 import math
+import os
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
@@ -61,6 +63,7 @@ def validate(config: Config) -> None:
         _geodesic_basis(config),
         _start(config),
         _device(config.device),
+        _compiler(config),
     )
     for key, problem in (found for problems in families for found in problems):
         raise ConfigError(key, problem)
@@ -278,6 +281,11 @@ def _start(config: Config) -> Problems:
     weights = InitPart.weights in config.init_from_parts and config.init_from is not None
     if weights and not isinstance(config.planner, IrlConfig):
         yield "init_from_parts", f"planner={config.planner.name} has no weights; choose [estimate]"
+
+
+def _compiler(config: Config) -> Problems:
+    if config.compile and config.device == "cpu" and not shutil.which(os.environ.get("CXX", "g++")):
+        yield "compile", "needs a C++ compiler, g++ or the one that the variable CXX names; there is none"
 
 
 def _device(name: str) -> Problems:

@@ -27,6 +27,7 @@ class Relay:
         vehicle: dynamics of every vehicle; a BlueROV2 if None.
         channel: the true channel; vehicles only get readings of it (`uwirl.world.truth`). The paper's if None.
         streams: random numbers of B worlds; one world of seed 0 if None.
+        compiled: whether PyTorch compiles its step, to results that differ by rounding.
     """
 
     def __init__(
@@ -35,6 +36,7 @@ class Relay:
         vehicle: Dynamics | None = None,
         channel: Channel | None = None,
         streams: RandomStreams | None = None,
+        compiled: bool = False,
     ):
         self.scenario = scenario
         self.vehicle: Dynamics = Vehicle.bluerov2() if vehicle is None else vehicle
@@ -42,6 +44,9 @@ class Relay:
         self._truth = Truth(channel or Channel.paper(), scenario.source, scenario.destination, self.streams)
         self._map: tuple[Obstacles, Obstacles] | None = None
         self._water = None if scenario.current.is_still else scenario.current.realise(self.streams)
+        self.compiled = compiled
+        if compiled:
+            self._advance, self.observe = torch.compile(self._advance), torch.compile(self.observe)  # type: ignore[method-assign]
 
     @property
     def worlds(self) -> int:
@@ -55,7 +60,7 @@ class Relay:
 
     def on(self, scenario: Scenario, streams: RandomStreams) -> Relay:
         """The same vehicles and channel with another scenario and other random numbers."""
-        return Relay(scenario, self.vehicle, self._truth.channel, streams)
+        return Relay(scenario, self.vehicle, self._truth.channel, streams, self.compiled)
 
     def select(self, index: Tensor) -> Relay:
         """The environment of some worlds, by their indices [K] in the batch."""
