@@ -1,10 +1,12 @@
-"""How fast the vehicle dynamics run: one RK4 step of the 4-DOF model with held tau, on one thread.
+"""How fast the vehicle dynamics run: one RK4 step of the 4-DOF model with held tau, on one thread or a GPU.
 
     python benchmarks/world.py
+    python benchmarks/world.py --device cuda    # 10,000 to 10,000,000 worlds
     python benchmarks/world.py --against PATH    # rollouts and the guard beside those of another checkout, instead
 
-Every rate is in vehicle-steps per core-second. Beside eager and compiled PyTorch stand two yardsticks, measured in the
-same run: the model hand-written for one vehicle in plain Python, and the copy bandwidth of the machine. A step must at
+Every rate is in vehicle-steps per second of one core or of the GPU. Beside eager and compiled PyTorch stand two
+yardsticks, measured in the same run: the model hand-written for one vehicle in plain Python (on a CPU), and the copy
+bandwidth of the machine. A step must at
 least read x (8 numbers) and tau (4) and write x (8), so no implementation whose state lies in memory exceeds
 
     bound = bandwidth / (20 * itemsize).
@@ -39,7 +41,7 @@ from uwirl.config.schema import VehicleConfig
 from uwirl.world.vehicle import Vehicle, VehicleState
 
 DT = 0.05  # s
-WORLDS = (1, 100, 10_000, 100_000, 1_000_000)
+WORLDS = {"cpu": (1, 100, 10_000, 100_000, 1_000_000), "cuda": (10_000, 1_000_000, 10_000_000)}
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 NUMBERS_MOVED = 8 + 4 + 8
 COPY_BYTES = 256 * 2**20
@@ -69,11 +71,19 @@ class Workload:
     def rate(self, seconds: float) -> float:
         """Work per second, measured over at least one call and about the given time in s."""
         state = self.advance(self.start)  # untimed: brings code and data into the caches
+        wait()
         calls, begin = 0, time.perf_counter()
-        while (elapsed := time.perf_counter() - begin) < seconds:
+        while time.perf_counter() - begin < seconds:
             state = self.advance(state)
             calls += 1
-        return calls * self.size / elapsed
+        wait()
+        return calls * self.size / (time.perf_counter() - begin)
+
+
+def wait() -> None:
+    """Until a GPU, if one is used, has done what it was given."""
+    if torch.cuda.is_initialized():
+        torch.cuda.synchronize()
 
 
 class ScalarVehicle:
@@ -107,10 +117,10 @@ class ScalarVehicle:
         return [x[i] + dt / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]) for i in range(8)]
 
 
-def draw(worlds: int, dtype: torch.dtype) -> tuple[VehicleState, Tensor]:
+def draw(worlds: int, dtype: torch.dtype, device: str = "cpu") -> tuple[VehicleState, Tensor]:
     """A random state of so many worlds with one vehicle each, and a random tau [worlds, 1, 4]."""
-    state = VehicleState(torch.randn(8, worlds, 1, dtype=dtype) * 0.3)
-    return state, torch.randn(4, worlds, 1, dtype=dtype).movedim(0, -1)
+    state = VehicleState(torch.randn(8, worlds, 1, dtype=dtype, device=device) * 0.3)
+    return state, torch.randn(4, worlds, 1, dtype=dtype, device=device).movedim(0, -1)
 
 
 def scalar_workload(config: VehicleConfig) -> Workload:
@@ -147,20 +157,20 @@ def compiled_workload(
     return Workload(lambda s: rk4(s, force), x, len(tau))
 
 
-def vehicle_workloads(config: VehicleConfig) -> dict[Key, Workload]:
+def vehicle_workloads(config: VehicleConfig, device: str) -> dict[Key, Workload]:
     """Every size and dtype, eager and, where this machine has a compiler, compiled."""
     found: dict[Key, Workload] = {}
     can_compile = True
     for name, dtype in DTYPES.items():
-        vehicle = Vehicle(**config.values(), dtype=dtype)
+        vehicle = Vehicle(**config.values(), dtype=dtype, device=device)
 
         def rk4(x: Tensor, tau: Tensor, vehicle: Vehicle = vehicle) -> Tensor:
             return vehicle.rk4(x, tau, DT)
 
         # One kernel for all sizes above one: as fast as a kernel for each, and what a user with varying batches has.
         compiled = torch.compile(rk4, dynamic=True)
-        for worlds in WORLDS:
-            state, tau = draw(worlds, dtype)
+        for worlds in WORLDS[device]:
+            state, tau = draw(worlds, dtype, device)
             found[name, worlds, "eager"] = eager_workload(vehicle, state, tau)
             if can_compile:
                 try:
@@ -196,7 +206,7 @@ def cells(rates: dict[Key, list[float]], key: Key) -> str:
     return f"{statistics.median(million):>9.3g}  {spread:>17}  {share:>8.2g}%"
 
 
-def report(rates: dict[Key, list[float]]) -> None:
+def report(rates: dict[Key, list[float]], device: str) -> None:
     """Print the table and the ratios."""
     bandwidth = statistics.median(rates[COPY])
     spread = f"{min(rates[COPY]) / 1e9:.3g} - {max(rates[COPY]) / 1e9:.3g}"
@@ -204,23 +214,27 @@ def report(rates: dict[Key, list[float]]) -> None:
     for name, dtype in DTYPES.items():
         bound = bandwidth / (NUMBERS_MOVED * dtype.itemsize)
         print(f"bound that it sets, {name}: {bound / 1e6:.0f} million vehicle-steps/s")
-    print(f"\nmillion vehicle-steps per core-second: median (min - max of {ROUNDS} rounds), share of the bound\n")
+    unit = "core-second" if device == "cpu" else "second"
+    print(f"\nmillion vehicle-steps per {unit}: median (min - max of {ROUNDS} rounds), share of the bound\n")
     column = f"{'median':>9}  {'min - max':>17}  {'share':>9}"
     print(f"{'':7}  {'':>9}  {'eager':>39}  {'compiled':>39}")
     print(f"{'dtype':7}  {'worlds':>9}  {column}  {column}")
     for name in DTYPES:
-        for worlds in WORLDS:
+        for worlds in WORLDS[device]:
             row = "  ".join(cells(rates, (name, worlds, mode)) for mode in ("eager", "compiled"))
             print(f"{name:7}  {worlds:>9,}  {row}")
-    print(f"{'scalar':7}  {'1':>9}  {cells(rates, SCALAR)}\n")
+    if SCALAR in rates:
+        print(f"{'scalar':7}  {'1':>9}  {cells(rates, SCALAR)}")
+    print()
     comparisons: dict[str, tuple[Key, Key]] = {
         "compiled / eager, float32, 10,000": (("float32", 10_000, "compiled"), ("float32", 10_000, "eager")),
+        "compiled / eager, float32, 1,000,000": (("float32", 1_000_000, "compiled"), ("float32", 1_000_000, "eager")),
         "eager float32, 1,000,000 / 100,000": (("float32", 1_000_000, "eager"), ("float32", 100_000, "eager")),
         "eager float32, 100,000 / scalar": (("float32", 100_000, "eager"), SCALAR),
         "eager float64, 100,000 / scalar": (("float64", 100_000, "eager"), SCALAR),
     }
     for label, (over, under) in comparisons.items():
-        if over in rates:
+        if over in rates and under in rates:
             print(f"{label:36}{ratio(rates[over], rates[under]):>8.3g}")
 
 
@@ -275,20 +289,27 @@ def versions(against: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--against", type=Path, help="root of another checkout")
-    against: Path | None = parser.parse_args().against
+    parser.add_argument("--device", choices=tuple(WORLDS), default="cpu")
+    arguments = parser.parse_args()
+    against: Path | None = arguments.against
+    device: str = arguments.device
+    if device == "cuda" and not torch.cuda.is_available():
+        parser.error("--device cuda: no CUDA device that this PyTorch can use")
     torch.set_num_threads(1)
     torch.manual_seed(0)
-    print(f"{processor()}, one thread; torch {torch.__version__}, Python {platform.python_version()}", flush=True)
+    machine = f"{processor()}, one thread" if device == "cpu" else torch.cuda.get_device_name()
+    print(f"{machine}; torch {torch.__version__}, Python {platform.python_version()}", flush=True)
     if against is not None:
         versions(against)
         return
     config = compose([]).vehicle
-    source, target = torch.ones(2, COPY_BYTES, dtype=torch.uint8)
+    source, target = torch.ones(2, COPY_BYTES, dtype=torch.uint8, device=device)
     with torch.inference_mode():
-        workloads = vehicle_workloads(config)
-        workloads[SCALAR] = scalar_workload(config)
+        workloads = vehicle_workloads(config, device)
+        if device == "cpu":
+            workloads[SCALAR] = scalar_workload(config)
         workloads[COPY] = Workload(lambda _: target.copy_(source), None, 2 * COPY_BYTES)
-        report(measure(workloads))
+        report(measure(workloads), device)
 
 
 if __name__ == "__main__":
