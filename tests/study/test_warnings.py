@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -103,9 +104,16 @@ def test_saturated_thrusters():
     ],
 )
 def test_learning_that_ended_badly(costs, start, end, said):
-    sentences = list(learning_warnings(costs, start, end))
+    last = SimpleNamespace(converged=True)
+    sentences = list(learning_warnings(last, costs, start, end))
     assert len(sentences) == len(said)
     assert all(part in sentence for part, sentence in zip(said, sentences, strict=True))
+
+
+def test_learning_that_did_not_converge():
+    last = SimpleNamespace(converged=False, seconds=600.0, weight_change=0.25)
+    (sentence,) = learning_warnings(last, [3.3, 3.2], 3.3, 3.2)
+    assert sentence.startswith("learning did not converge within 600 s of flight: weights still change by 2.5e-01")
 
 
 def outcomes(**given: list) -> Outcomes:

@@ -97,7 +97,7 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
     start = float(flown["start policy"].cost[0])
     converged = records[-1].converged and flight.settled(flown[config.planner.name])
     metrics |= flight.report(flown, estimated, board, records, learning.basis, converged) | {"converged": converged}
-    for sentence in learning_warnings(costs, start, metrics["cost_total"]):
+    for sentence in learning_warnings(records[-1], costs, start, metrics["cost_total"]):
         warn(sentence)
     metrics |= {"cost_total_start_policy": start, "cost_per_iteration": costs}
     checkpoints.best(learning, state, costs)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import torch
 
+from uwirl.motion.learning import IterationRecord
 from uwirl.motion.targets import mean_channel_targets
 from uwirl.study.campaign import Outcomes
 from uwirl.study.evaluation import Evaluation
@@ -99,14 +100,20 @@ def _collisions(scenario: Scenario, evaluation: Evaluation) -> Iterator[str]:
             yield f"vehicles {i + 1} and {j + 1} collided: {depth:.2f} m deep at {float(time[nearest]):.2f} s"
 
 
-def learning_warnings(costs: Sequence[float | None], start: float, end: float) -> Iterator[str]:
+def learning_warnings(last: IterationRecord, costs: Sequence[float | None], start: float, end: float) -> Iterator[str]:
     """Where learning ended badly.
 
     Args:
+        last: the last policy iteration.
         costs: J of the iterates, None for those that were not flown again, as in `cost_per_iteration`.
         start: J of the start policy.
         end: J of the policy that was learned.
     """
+    if not last.converged:
+        yield (
+            f"learning did not converge within {last.seconds:g} s of flight: weights still change by "
+            f"{last.weight_change:.1e} (planner.max_time_s, planner.tolerance_weights)"
+        )
     if not end <= (1.0 + WORSE_THAN_START) * start:
         yield f"learning ended worse than the start policy: J {end:.3f} instead of {start:.3f}"
     least, best = min((math.inf if math.isnan(J) else J, k) for k, J in enumerate(costs, 1) if J is not None)
