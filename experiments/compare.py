@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +20,7 @@ import hydra
 import torch
 from learned import shown
 from learning_curve import STARTS
+from matplotlib.figure import Figure
 from omegaconf import DictConfig
 from results import leave
 from torch import Tensor
@@ -33,7 +34,8 @@ from uwirl.config.schema import Config
 from uwirl.config.validate import validate
 from uwirl.motion.cost import CostWeights
 from uwirl.motion.mission import Mission
-from uwirl.study import figures
+from uwirl.study import style
+from uwirl.study.colours import BLUE
 from uwirl.study.evaluation import Evaluation, Evaluator
 from uwirl.study.progress import bar
 from uwirl.world.agent import Agent
@@ -166,6 +168,23 @@ def table(metrics: dict[str, Any], problem: str, planners: list[str]) -> None:
         log.info("  %-20s %10.1f %10.1f %8.2f %10d", name, *(metrics[f"{key}_{column}"] for column in columns))
 
 
+@style.paper
+def gap_figure(gaps: Mapping[str, Tensor]) -> Figure:
+    """Gap of J to the optimiser, in %: one point per layout for each planner, and the median."""
+    figure = style.new(style.PAGE, 0.36 * len(gaps) + 0.6)
+    axes = figure.subplots()
+    for row, gap in enumerate(gaps.values()):
+        axes.plot(gap.clamp_min(0.1), row + torch.linspace(-0.25, 0.25, len(gap)), ".", color=BLUE, ms=3)
+        median = float(gap.median())
+        axes.plot([median, median], [row - 0.35, row + 0.35], "k")
+        axes.annotate(f"{median:.1f} %", (median, row - 0.37), ha="center", va="bottom")
+    axes.set_yticks(range(len(gaps)), list(gaps))
+    axes.set(xscale="log", xlabel="$J$ above the trajectory optimiser's (%)")
+    axes.invert_yaxis()
+    axes.grid(axis="x", which="both")
+    return figure
+
+
 @hydra.main(version_base="1.3", config_path="conf", config_name="compare")
 def main(settings: DictConfig) -> None:
     """Print the tables, write metrics.json and the figure."""
@@ -174,7 +193,7 @@ def main(settings: DictConfig) -> None:
         metrics, gaps = compare(settings)
     for problem in ("own", "free", "layouts"):
         table(metrics, problem, list(settings.planners))
-    leave(metrics, figures.gap_figure(gaps))
+    leave(metrics, gap_figure(gaps))
 
 
 if __name__ == "__main__":

@@ -27,6 +27,8 @@ from torch import Tensor
 from uwirl import build
 from uwirl.config.compose import compose
 from uwirl.config.validate import validate
+from uwirl.study import style
+from uwirl.study.colours import BLUE, ORANGE
 from uwirl.study.shadowing import map_grid
 from uwirl.world.acoustics import Channel
 from uwirl.world.fading import Shadowing, ShadowingField
@@ -41,8 +43,6 @@ TITLES = (
     "(c) path loss and multipath",
     "(d) path loss, shadowing and multipath",
 )
-# Told apart by the colour-blind (Okabe and Ito).
-BLUE, ORANGE = "#0072B2", "#D55E00"
 # Points of a link's field that are worked out at once.
 CHUNK = 20_000
 CUT_POINTS = 800
@@ -129,11 +129,11 @@ def draw_map(
     filled = axes.contourf(x, y, snr, levels, cmap="cividis", extend="both")
     filled.set_edgecolor("face")
     if lines:
-        axes.contour(x, y, snr, levels, colors="white", linestyles="solid", linewidths=0.6, alpha=0.8)
+        axes.contour(x, y, snr, levels, colors="white", linestyles="solid", linewidths=0.4, alpha=0.8)
     source, destination = scenario.source.tolist(), scenario.destination.tolist()
-    axes.plot(*zip(source[:2], destination[:2], strict=True), "--", color="white", lw=1.2)
-    axes.plot(*source[:2], "s", color=ORANGE, mec="white", ms=9, ls="none", label="source")
-    axes.plot(*destination[:2], "D", color=ORANGE, mec="white", ms=9, ls="none", label="destination")
+    axes.plot(*zip(source[:2], destination[:2], strict=True), "--", color="white", lw=0.8)
+    axes.plot(*source[:2], "s", color=ORANGE, mec="white", mew=0.6, ms=5, ls="none", label="source")
+    axes.plot(*destination[:2], "D", color=ORANGE, mec="white", mew=0.6, ms=5, ls="none", label="destination")
     axes.set(xlabel="$x$ (m)", ylabel="$y$ (m)", aspect="equal")
     return filled
 
@@ -141,33 +141,34 @@ def draw_map(
 def draw_cut(snr: Axes, fading: Axes, distance: Tensor, drawn: Fields, channel: Channel) -> None:
     """(e) and (f): along the line to the destination."""
     mean, shadowed, _, everything = drawn.panels
-    snr.plot(distance, everything, ".", color="0.6", ms=3.5, label="with multipath: a reading at each point")
-    snr.plot(distance, shadowed, color=BLUE, lw=1.8, label="with shadowing")
-    snr.plot(distance, mean, "--", color=ORANGE, lw=1.8, label="path loss")
+    snr.plot(distance, everything, ".", color="0.6", ms=1.5, label="with multipath")
+    snr.plot(distance, shadowed, color=BLUE, label="with shadowing")
+    snr.plot(distance, mean, "--", color=ORANGE, label="path loss")
     snr.set(ylabel="SNR (dB)")
-    snr.set_title("(e) along the dashed line", loc="left")
-    fading.plot(distance, drawn.shadowing + drawn.multipath, ".", color="0.6", ms=3.5, label="with multipath")
-    fading.plot(distance, drawn.shadowing, color=BLUE, lw=1.8, label="shadowing")
+    snr.set_title("(e) along the dashed line")
+    fading.plot(distance, drawn.shadowing + drawn.multipath, ".", color="0.6", ms=1.5, label="with multipath")
+    fading.plot(distance, drawn.shadowing, color=BLUE, label="shadowing")
     for std, colour, name in ((channel.zeta_dB, BLUE, "\\zeta"), (math.hypot(*_stds(channel)), "0.6", "")):
         label = f"$\\pm {name}$" if name else "$\\pm \\sqrt{\\zeta^2 + \\rho^2}$"
         for sign in (-1.0, 1.0):
-            fading.axhline(sign * float(std), color=colour, ls=":", lw=1.4, label=label if sign > 0 else None)
-    fading.axhline(0.0, color=ORANGE, ls="--", lw=1.2)
+            fading.axhline(sign * float(std), color=colour, ls=":", label=label if sign > 0 else None)
+    fading.axhline(0.0, color=ORANGE, ls="--")
     fading.set(ylabel="fading (dB)")
-    fading.set_title("(f) the same less path loss", loc="left")
+    fading.set_title("(f) the same less path loss")
     for axes in (snr, fading):
         axes.set_xlabel("distance from the source $l$ (m)")
-        axes.grid(alpha=0.3)
-    snr.legend(loc="upper right", fontsize=9)
-    fading.legend(loc="lower right", fontsize=9, ncols=4)
+        axes.grid()
+    snr.legend(loc="upper right")
+    fading.legend(loc="lower right", ncols=2, columnspacing=0.8)
     low, high = fading.get_ylim()
-    fading.set_ylim(low - 0.2 * (high - low), high)
+    fading.set_ylim(low - 0.35 * (high - low), high)
 
 
 def _stds(channel: Channel) -> tuple[float, float]:
     return float(channel.zeta_dB), float(channel.rho_dB)
 
 
+@style.paper
 def study(settings: DictConfig) -> tuple[dict[str, float | str], Figure]:
     """The numbers of metrics.json and the figure."""
     config = compose(list(settings.overrides))
@@ -186,7 +187,7 @@ def study(settings: DictConfig) -> tuple[dict[str, float | str], Figure]:
     distance = torch.linspace(settings.nearest_m, length, CUT_POINTS, dtype=torch.float64)
     cut = fields(env, source + distance[:, None] / length * (destination - source), ON_CUT)
 
-    figure = Figure(figsize=(12.5, 15.0), layout="constrained")
+    figure = style.new(style.PAGE, 8.4)
     panels = figure.subplots(3, 2, gridspec_kw={"height_ratios": [1.0, 1.0, 0.62]}).flatten().tolist()
     # Beside the source the SNR would take all colours.
     low, high = drawn.panels[3].quantile(torch.tensor([0.002, 0.985], dtype=drawn.mean.dtype)).tolist()
@@ -194,11 +195,11 @@ def study(settings: DictConfig) -> tuple[dict[str, float | str], Figure]:
     levels = step * torch.arange(math.floor(low / step), math.ceil(high / step) + 1)
     for axes, snr, title in zip(panels[:4], drawn.panels, TITLES, strict=True):
         filled = draw_map(axes, x, y, snr.view(len(y), len(x)), levels, env.scenario, title is TITLES[0])
-        axes.set_title(title, loc="left")
-    panels[0].legend(loc="lower right", fontsize=9, facecolor="0.4", labelcolor="white", framealpha=1.0)
+        axes.set_title(title)
+    panels[0].legend(loc="lower right", facecolor="0.4", labelcolor="white", framealpha=1.0)
     label = f"SNR of links from the source, z = {float(source[2]):g} m (dB)"
     # Left to itself it counts from the lowest level on, and names numbers that are not round.
-    figure.colorbar(filled, ax=panels[:4], label=label, ticks=levels[levels % (5 * step) == 0])
+    figure.colorbar(filled, ax=panels[:4], label=label, aspect=40, shrink=0.9, ticks=levels[levels % (5 * step) == 0])
     draw_cut(panels[4], panels[5], distance, cut, truth_of(env).channel)
     return {"overrides": " ".join(settings.overrides), **metrics}, figure
 

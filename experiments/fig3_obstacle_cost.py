@@ -33,14 +33,16 @@ from uwirl.motion.avoidance import Avoidance, Printed, remark_2, smooth
 from uwirl.motion.cost import CostWeights, RelayCost
 from uwirl.motion.link_frame import LinkFrame
 from uwirl.motion.mission import Mission
+from uwirl.study import style
+from uwirl.study.colours import BLUE, ORANGE
 from uwirl.world.scenario import Scenario
 from uwirl.world.truth import truth_of
 from uwirl.world.vehicle import VehicleState
 
-# Colour (told apart by the colour-blind: Okabe and Ito), line and name of each form.
+# Colour, line and name of each form.
 STYLES = {
-    "printed": ("#D55E00", "-", "printed: $c = {c:g}$, $\\nu = {nu:g}$ m"),
-    "remark_2": ("#0072B2", "--", "Remark 2: $c = {c:.1f}$, $\\nu = {nu:.2f}$ m"),
+    "printed": (ORANGE, "-", "printed: $c = {c:g}$, $\\nu = {nu:g}$ m"),
+    "remark_2": (BLUE, "--", "Remark 2: $c = {c:.1f}$, $\\nu = {nu:.2f}$ m"),
     "default": ("black", ":", "default: $\\max(0, 1/l - 1/\\rho_o)^2$"),
 }
 TITLES = (
@@ -92,22 +94,22 @@ def draw_curves(cut: Axes, term: Axes, forms: dict[str, Avoidance], cost: Printe
         colour, line, label = STYLES[name]
         if isinstance(form, Printed):
             label = label.format(c=form.c, nu=form.nu)
-            cut.plot(l, cut_off(form, l), line, color=colour, lw=2.0, label=label)
-        term.plot(l, curve(form, l, radii[1:]), line, color=colour, lw=2.0, label=label)
+            cut.plot(l, cut_off(form, l), line, color=colour, label=label)
+        term.plot(l, curve(form, l, radii[1:]), line, color=colour, label=label)
     for name, l_m, kappa in (("A", cost.left_m, cost.kappa_1), ("B", cost.right_m, cost.kappa_2)):
-        cut.plot(l_m, kappa, "o", color=STYLES["remark_2"][0], ms=7)
+        cut.plot(l_m, kappa, "o", color=STYLES["remark_2"][0], ms=4)
         cut.annotate(f"$P_{name}$", (l_m, kappa), (8.0, 2.0), textcoords="offset points")
     for axes in (cut, term):
         for name, radius in zip("mo", radii.tolist(), strict=True):
             axes.axvline(radius, color="0.5", lw=1.0)
             text = f"$\\rho_{name}$ = {radius:g} m"
-            axes.annotate(text, (radius, 1.01), xycoords=("data", "axes fraction"), ha="center", fontsize=9)
+            axes.annotate(text, (radius, 1.01), xycoords=("data", "axes fraction"), ha="center")
         axes.set_xlabel("distance to the axis $l$ (m)")
-        axes.grid(alpha=0.3)
-    cut.set(ylabel="$f(l)$", ylim=(-0.03, 1.25))
-    cut.legend(loc="upper right", ncols=2, fontsize=9)
+        axes.grid()
+    cut.set(ylabel="$f(l)$", ylim=(-0.03, 1.5))
+    cut.legend(loc="upper right")
     term.set(ylabel="$E_O$ (1/m$^2$)", yscale="log", ylim=(1e-7, 0.3))
-    term.legend(loc="upper right", fontsize=9)
+    term.legend(loc="upper right")
 
 
 def draw_map(axes: Axes, x: Tensor, q: Tensor, scenario: Scenario, target: Tensor, crest: float | None) -> ContourSet:
@@ -115,27 +117,28 @@ def draw_map(axes: Axes, x: Tensor, q: Tensor, scenario: Scenario, target: Tenso
     # The square shows as much of the shallow bowl around the target as of the slope far from it.
     levels = 0.3 * torch.linspace(0.0, 1.0, 46).square()
     filled = axes.contourf(x, x, q.clamp_max(1.0), levels, cmap="cividis", norm=PowerNorm(0.5, 0.0, 0.3), extend="max")
-    axes.contour(x, x, q.clamp_max(1.0), levels, colors="white", linewidths=0.6, alpha=0.8)
+    axes.contour(x, x, q.clamp_max(1.0), levels, colors="white", linewidths=0.4, alpha=0.8)
     angle = torch.linspace(0.0, 2.0 * torch.pi, 181)
     circle = torch.stack([angle.cos(), angle.sin()])
     obstacles = scenario.obstacles
     for k, centre in enumerate(obstacles.centre):
         rho_m, rho_o = float(obstacles.radius[k]), float(obstacles.influence[k])
         axes.fill(*(centre[:, None] + rho_m * circle), color="black", zorder=3)
-        rings = [axes.plot(*(centre[:, None] + rho_o * circle), ":", color="white", lw=1.8, label="$l = \\rho_o$")[0]]
+        rings = [axes.plot(*(centre[:, None] + rho_o * circle), ":", color="white", lw=1.1, label="$l = \\rho_o$")[0]]
         if crest:
-            rings += axes.plot(*(centre[:, None] + crest * circle), "--", color=STYLES["printed"][0], lw=1.8)
+            rings += axes.plot(*(centre[:, None] + crest * circle), "--", color=STYLES["printed"][0], lw=1.1)
             rings[1].set_label(f"$l$ = {crest:.1f} m, crest of $E_O$")
     marks = [
-        *axes.plot(*minima(x, q).T, "o", mfc="none", mec="white", mew=1.8, ms=15, ls="none", label="minimum"),
-        *axes.plot(*target, "*", color="white", mec="black", ms=12, ls="none", label="target"),
+        *axes.plot(*minima(x, q).T, "o", mfc="none", mec="white", mew=1.0, ms=8, ls="none", label="minimum"),
+        *axes.plot(*target, "*", color="white", mec="black", mew=0.5, ms=7, ls="none", label="target"),
     ]
     axes.set(xlabel="$x$ (m)", ylabel="$y$ (m)", aspect="equal")
-    look = {"fontsize": 9, "facecolor": "0.4", "labelcolor": "white", "framealpha": 1.0}
+    look = {"facecolor": "0.4", "labelcolor": "white", "framealpha": 1.0}
     axes.legend(handles=[*rings, *marks], loc="lower right", **look)
     return filled
 
 
+@style.paper
 def study(settings: DictConfig) -> tuple[dict[str, float | int | None], Figure]:
     """The numbers of metrics.json and the figure."""
     config = compose(list(settings.overrides))
@@ -151,7 +154,7 @@ def study(settings: DictConfig) -> tuple[dict[str, float | int | None], Figure]:
     x = torch.arange(-4.0, 34.0, settings.spacing_m, dtype=radii.dtype)
     metrics: dict[str, float | int | None] = {"c_remark_2": c, "nu_remark_2_m": nu}
 
-    figure = Figure(figsize=(12.5, 10.5), layout="constrained")
+    figure = style.new(style.PAGE, 6.2)
     cut, term, *maps = figure.subplots(2, 2).flatten().tolist()
     draw_curves(cut, term, forms, config.cost, radii)
     for name, form in forms.items():
@@ -171,7 +174,7 @@ def study(settings: DictConfig) -> tuple[dict[str, float | int | None], Figure]:
     ticks = (0.0, 0.01, 0.03, 0.1, 0.2, 0.3)
     figure.colorbar(filled, ax=maps, ticks=ticks, label="$E_L - E_{L,\\min} + \\beta_2 E_O$")
     for axes, title in zip((cut, term, *maps), TITLES, strict=True):
-        axes.set_title(title, loc="left", pad=18.0)
+        axes.set_title(title, pad=4.0 if axes in maps else 13.0)
     return metrics, figure
 
 

@@ -5,6 +5,8 @@
 The gap is sum J / sum J_reference - 1 over the starts (a mean of ratios would be three times larger, because starts
 near the target cost almost nothing). The reference costs are those of a direct trajectory optimiser (implicit
 trapezoid, 200 intervals, 80 s) on the same cost in free water.
+
+Needs matplotlib (extra `plot`).
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import logging
 import hydra
 import torch
 from learned import learn
+from matplotlib.figure import Figure
 from omegaconf import DictConfig
 from results import leave
 from torch import Tensor
@@ -21,6 +24,8 @@ from torch import Tensor
 from uwirl import build
 from uwirl.config.compose import compose
 from uwirl.config.validate import validate
+from uwirl.study import style
+from uwirl.study.colours import BLUE, ORANGE
 from uwirl.study.evaluation import Evaluator
 from uwirl.world.random import RandomStreams
 
@@ -81,6 +86,25 @@ def learning_curve(seeds: int, times_s: list[float], overrides: list[str]) -> di
     return curve
 
 
+@style.paper
+def draw(times_s: list[float], curve: dict[str, list[list[float]]]) -> Figure:
+    """Gap against vehicle seconds: median and range over the seeds."""
+    figure = style.new(style.COLUMN, 2.5)
+    axes = figure.subplots()
+    names = {"starts": "twelve starts", "paper": "the paper's start"}
+    for (name, values), colour in zip(curve.items(), (BLUE, ORANGE), strict=True):
+        gap = torch.tensor(values)
+        axes.plot(times_s, gap.quantile(0.5, dim=1), ".-", color=colour, label=names[name])
+        axes.fill_between(times_s, gap.amin(1), gap.amax(1), color=colour, alpha=0.2, lw=0.0)
+    axes.set(xscale="log", yscale="log", xlabel="vehicle time (s)", ylabel="$J$ above the optimiser's (%)")
+    axes.set_title(f"median and range, {len(curve['starts'][0])} seeds")
+    axes.set_xticks(times_s, [f"{time:g}" for time in times_s], minor=False)
+    axes.set_xticks([], minor=True)
+    axes.legend()
+    axes.grid(which="both")
+    return figure
+
+
 @hydra.main(version_base="1.3", config_path="conf", config_name="learning_curve")
 def main(settings: DictConfig) -> None:
     """Print the table and write it to metrics.json."""
@@ -97,7 +121,7 @@ def main(settings: DictConfig) -> None:
             metrics[f"gap_{name}_median_percent_{time_s:g}s"] = float(gap.quantile(0.5))
             metrics[f"gap_{name}_max_percent_{time_s:g}s"] = float(gap.max())
         log.info("%12g %34s %34s", time_s, *cells)
-    leave(metrics)
+    leave(metrics, draw(times, curve))
 
 
 if __name__ == "__main__":

@@ -30,7 +30,8 @@ from uwirl.motion.targets import mean_channel_targets
 from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.snr.intervals import student_t
 from uwirl.snr.kriging import Kriging
-from uwirl.study import shadowing
+from uwirl.study import shadowing, style
+from uwirl.study.colours import GREEN, ORANGE
 from uwirl.study.progress import bar
 from uwirl.world.truth import truth_of
 
@@ -95,37 +96,40 @@ def statistics(capacity: Tensor) -> dict[str, float]:
     return metrics
 
 
+@style.paper
 def draw(capacity: Tensor, example: Example) -> Figure:
     """Maps of one seed, and what each seed's places carry."""
-    figure = Figure(figsize=(15.0, 4.9), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
+    figure = style.new(style.PAGE, 5.6)
+    grid = figure.add_gridspec(2, 2)
+    left, middle = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
+    right = figure.add_subplot(grid[1, :])
     top = float(example.truth.quantile(0.995))
     for axes, values, title in ((left, example.truth, "(a) true"), (middle, example.expected, "(b) kriged")):
         filled = axes.pcolormesh(*example.axes, values.T, vmin=0.0, vmax=top, cmap="cividis", shading="nearest")
         mark(axes, example)
-        axes.set_title(f"{title} capacity of a relay at the nodes' depth, seed 0", loc="left", fontsize=10)
-    figure.colorbar(filled, ax=[left, middle], label="capacity of the worse link (kbit/s)")
-    middle.legend(loc="upper left", fontsize=8)
+        axes.set_title(f"{title} capacity of a relay, seed 0")
+    figure.colorbar(filled, ax=[left, middle], label="worse link at the nodes' depth (kbit/s)")
+    middle.legend(loc="upper left")
     right.plot([0.0, 1.05 * float(capacity.max())], [0.0, 1.05 * float(capacity.max())], color="0.6", lw=1.0)
-    right.plot(capacity[:, 0], capacity[:, 2], "^", color="#009E73", mfc="none", label="where it is best")
-    right.plot(capacity[:, 0], capacity[:, 1], "o", color="#D55E00", label="where the map says")
+    right.plot(capacity[:, 0], capacity[:, 2], "^", color=GREEN, mfc="none", label="where it is best")
+    right.plot(capacity[:, 0], capacity[:, 1], "o", color=ORANGE, label="where the map says")
     low = 0.9 * float(capacity.min())
     limits = (low, 1.03 * float(capacity.max()))
     right.set(xlim=limits, ylim=limits, aspect="equal", ylabel="true capacity there (kbit/s)")
     right.set_xlabel("true capacity at the midpoint (kbit/s)")
-    right.set_title(f"(c) {len(capacity)} seeds", loc="left", fontsize=10)
-    right.legend(loc="lower right", fontsize=9)
-    right.grid(alpha=0.3)
+    right.set_title(f"(c) {len(capacity)} seeds")
+    right.legend(loc="lower right")
+    right.grid()
     return figure
 
 
 def mark(axes: Axes, example: Example) -> None:
     """Nodes, sensors and places on a map."""
-    axes.plot(*example.sensors[:, :2].T, ".", color="white", ms=2.5, alpha=0.7)
-    axes.plot(*example.nodes[:, :2].T, "s", color="white", mec="black", ms=8)
-    styles = (("D", "white", "midpoint"), ("o", "#D55E00", "where the map says"), ("^", "#009E73", "where it is best"))
+    axes.plot(*example.sensors[:, :2].T, ".", color="white", ms=1.5, alpha=0.7)
+    axes.plot(*example.nodes[:, :2].T, "s", color="white", mec="black", mew=0.5, ms=5)
+    styles = (("D", "white", "midpoint"), ("o", ORANGE, "where the map says"), ("^", GREEN, "where it is best"))
     for place, (marker, colour, name) in zip(example.places.tolist(), styles, strict=True):
-        axes.plot(*place[:2], marker, color=colour, mec="black", ms=9, ls="none", label=name)
+        axes.plot(*place[:2], marker, color=colour, mec="black", mew=0.5, ms=5, ls="none", label=name)
     axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
 
 

@@ -28,9 +28,9 @@ def leave(metrics: Mapping[str, Any], figure: Figure | None = None) -> None:
     name, folder = hydra.job.name, Path(hydra.runtime.output_dir)
     run_folder.write_metrics(folder, {"status": "complete", "experiment": name, **metrics})
     if figure is not None:
-        from uwirl.study import figures
+        from uwirl.study import style
 
-        figures.save(figure, folder / "figures" / f"{name}.png")
+        style.save(figure, folder / "figures" / f"{name}.png")
     log.info("everything lies in %s", folder)
 
 

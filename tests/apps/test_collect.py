@@ -32,7 +32,7 @@ def add(folder: Path, **metrics) -> None:
 
 def test_table_is_printed_and_written(run, tmp_path, capsys):
     for seed in range(3):
-        add(tmp_path / f"planner=pd,seed={seed}", cost_total=3.0 + 0.1 * seed, cost_per_iteration=[4.0, 3.0])
+        add(tmp_path / f"planner=pd,seed={seed}", cost_total=3.0 + 0.1 * seed)
     add(tmp_path / "planner=irl,seed=0", status="failed", error="DivergedError: no")
     (tmp_path / "planner=irl,seed=1").mkdir()
     (tmp_path / "planner=irl,seed=1" / "run.log").touch()
@@ -46,7 +46,7 @@ def test_table_is_printed_and_written(run, tmp_path, capsys):
     assert "- planner=irl,seed=1\n" in report
     with (tmp_path / "results.csv").open(newline="") as file:
         assert [row["status"] for row in csv.DictReader(file)] == ["failed", "complete", "complete", "complete"]
-    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"boxes.png", "learning_curves.png"}
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"boxes.png", "boxes.pdf"}
     # Again, beside its own files: the same.
     assert run(str(tmp_path)) == 0
     assert (tmp_path / "results.md").read_text() == report

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uwirl.study import collection_figure
+from uwirl.study import collection_figure, run_files, style
 from uwirl.study.collection import Collection, Interval, Job, collect, interval, rounded
 from uwirl.study.collection_report import MOST_SKIPPED, csv_table, markdown
 
@@ -25,6 +25,12 @@ def add(tmp_path):
         (folder / "metrics.json").write_text(json.dumps({"status": "complete", "error": None} | metrics))
 
     return run
+
+
+def learned(folder, costs):
+    """iterations.csv of a run whose iterates took 10 s each."""
+    lines = [f"{k},{10.0 * k},100,0.1,,,{'' if cost is None else cost},0" for k, cost in enumerate(costs, 1)]
+    (folder / "iterations.csv").write_text("\n".join([",".join(run_files.ITERATION_COLUMNS), *lines, ""]))
 
 
 def rows(found: Collection) -> list[dict[str, str]]:
@@ -174,7 +180,8 @@ def test_failed_jobs_that_overrides_do_not_tell_are_named_by_folder(add, tmp_pat
 
 def test_figures_show_groups_and_curves(add, tmp_path):
     for seed in range(3):
-        add(f"planner=irl,seed={seed}", cost_total=3.0 + seed, cost_per_iteration=[4.0, None, 3.0], seed=seed)
+        add(f"planner=irl,seed={seed}", cost_total=3.0 + seed, seed=seed)
+        learned(tmp_path / f"planner=irl,seed={seed}", [4.0, None, 3.0 + seed])
         add(f"planner=pd,seed={seed}", cost_total=3.5, seed=seed)
     found = collect(tmp_path)
     written = collection_figure.draw(found, tmp_path / "figures")
@@ -182,8 +189,9 @@ def test_figures_show_groups_and_curves(add, tmp_path):
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in written)
     groups = {key[0]: group for key, group in found.groups().items()}
     (axes,) = collection_figure.curves_figure(groups).axes
-    assert len(axes.lines) == 3
-    np.testing.assert_array_equal(axes.lines[0].get_ydata(), [4.0, np.nan, 3.0])
+    (median,), (band,) = axes.lines, axes.collections
+    np.testing.assert_array_equal(median.get_xydata(), [[10.0, 4.0], [30.0, 4.0]])
+    assert band.get_datalim(axes.transData).intervaly.tolist() == [3.0, 5.0]
     boxes = collection_figure.boxes_figure(groups, ["cost_total"]).axes[0]
     assert [label.get_text() for label in boxes.get_yticklabels()] == ["irl", "pd"]
 
@@ -194,7 +202,7 @@ def test_boxes_of_what_differs_alone(add, tmp_path, monkeypatch):
         told = {"collisions": 0, "converged": seed > 0, "reach_rate": None if seed else 1.0}
         add(f"seed={seed}", cost_total=3.0 + seed, time_to_99_percent_s=t99, seed=seed, **told)
     drawn = []
-    monkeypatch.setattr(collection_figure, "write_figure", lambda path, figure: drawn.append(figure))
+    monkeypatch.setattr(style, "save", lambda figure, path: drawn.append(figure))
     assert len(collection_figure.draw(collect(tmp_path), tmp_path / "figures")) == 1
     assert [axes.get_xlabel() for axes in drawn[0].axes] == ["cost_total", "time_to_99_percent_s"]
 
@@ -212,7 +220,7 @@ def test_nothing_to_draw(add, tmp_path):
 
 
 STRANGE = {
-    "too large for a float": {"cost_total": 10**400, "cost_per_iteration": [10**400, 1e308, None]},
+    "too large for a float": {"cost_total": 10**400},
     "too large for its square": {"cost_total": 1e308},
     "of other types": {"seed": [1], "config_hash": {"a": 1}, "overrides": {"a": 1}, "experiment": 3},
     "half a sign": {"error": "\ud800", "overrides": ["a=\udce9"], "experiment": "\ud800"},
@@ -223,7 +231,8 @@ STRANGE = {
 @pytest.mark.parametrize("metrics", STRANGE.values(), ids=STRANGE.keys())
 def test_strange_metrics_spoil_no_other_job(add, tmp_path, metrics):
     for seed in range(3):
-        add(f"seed={seed}", cost_total=1.0 + seed, cost_per_iteration=[2.0, 1.0], config_hash=str(seed))
+        add(f"seed={seed}", cost_total=1.0 + seed, config_hash=str(seed))
+        learned(tmp_path / f"seed={seed}", [2.0, 1.0])
     add("strange", **metrics)
     found = collect(tmp_path)
     assert [job.name for job in found.jobs] == ["seed=0", "seed=1", "seed=2", "strange"]
@@ -244,6 +253,17 @@ def test_pipes_and_endless_files_are_skipped(add, tmp_path):
     assert [job.name for job in found.jobs] == ["seed=0"]
     reasons = [("endless/metrics.json", "File too large"), ("pipe/metrics.json", "Not a regular file")]
     assert sorted(found.skipped) == reasons
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a,b\n1,2\n", f"{','.join(run_files.ITERATION_COLUMNS)}\n1,x,1,1,1,1,1,1\n", "\x00"]
+)
+def test_iterations_that_no_run_wrote_are_said_and_spoil_nothing(add, tmp_path, text):
+    add("seed=0", cost_total=1.0)
+    (tmp_path / "seed=0" / "iterations.csv").write_text(text)
+    found = collect(tmp_path)
+    assert [(job.name, job.learned) for job in found.jobs] == [("seed=0", [])]
+    assert [name for name, _ in found.skipped] == ["seed=0/iterations.csv"]
 
 
 @pytest.mark.parametrize("present", [b"before", None])
@@ -286,6 +306,6 @@ def test_groups_that_differ_little_stay_apart(add, tmp_path, monkeypatch, other,
     for value, cost in (("0.7", 1.0), (other, 2.0)):
         add(f"a.b={value}", cost_total=cost)
     drawn = []
-    monkeypatch.setattr(collection_figure, "write_figure", lambda path, figure: drawn.append(figure))
+    monkeypatch.setattr(style, "save", lambda figure, path: drawn.append(figure))
     collection_figure.draw(collect(tmp_path), tmp_path)
     assert [label.get_text() for label in drawn[0].axes[0].get_yticklabels()] == rows

@@ -15,7 +15,7 @@ from scipy import stats
 from uwirl import build
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.snr.estimators import oracle
-from uwirl.study import figures
+from uwirl.study import style
 from uwirl.world.acoustics import Channel
 from uwirl.world.truth import truth_of
 
@@ -148,5 +148,5 @@ def test_two_seeds_on_their_maps(planning, make_relay, tmp_path: Path):
         assert float(example.truth[3, -2]) == pytest.approx(float(links.amin()), rel=1e-9)
     figure = planning["draw"](torch.tensor([capacity for capacity, _ in seeds]), seeds[0][1])
     assert [axes.get_title(loc="left")[:3] for axes in figure.axes[:3]] == ["(a)", "(b)", "(c)"]
-    figures.save(figure, tmp_path / "figures" / "planning_on_map.png")
+    style.save(figure, tmp_path / "figures" / "planning_on_map.png")
     assert (tmp_path / "figures" / "planning_on_map.png").stat().st_size > 50_000

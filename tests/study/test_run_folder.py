@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from uwirl.motion.learning import IterationRecord
-from uwirl.study import run_folder
+from uwirl.study import run_files, run_folder
 from uwirl.study.run_folder import FolderError, held
 
 
@@ -61,14 +61,14 @@ def test_iterations_are_a_row_each(tmp_path):
         IterationRecord(1, 19.0, weights, weights, 0.5, False, 90, False, 0.25, 1e7),
         IterationRecord(2, 24.0, weights, weights, 1e-4, True, 180, True),
     ]
-    run_folder.write_iterations(tmp_path, records)
+    run_files.write_iterations(tmp_path, records)
     path = tmp_path / "iterations.csv"
     assert path.read_text() == (
         "iteration,vehicle_seconds,rows,weight_change,bellman_residual,condition_number,cost_total,converged\n"
         "1,19,90,0.5,0.25,10000000,,0\n"
         "2,24,180,0.0001,,,,1\n"
     )
-    run_folder.write_iterations(tmp_path, records, [None, 3.25])
+    run_files.write_iterations(tmp_path, records, [None, 3.25])
     rows = [line.split(",") for line in path.read_text().splitlines()]
     assert [row[6] for row in rows] == ["cost_total", "", "3.25"]
     assert os.listdir(tmp_path) == ["iterations.csv"]

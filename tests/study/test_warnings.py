@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from uwirl.study.campaign import Outcomes
-from uwirl.study.evaluation import Evaluation, table
+from uwirl.study.evaluation import Evaluation
+from uwirl.study.mission_table import table
 from uwirl.study.warnings import campaign_warnings, flight_warnings, learning_warnings, mission_warnings
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.scenario import Scenario

@@ -53,7 +53,7 @@ class EstimatorConfig(MadeConfig, family="estimator"):
 @dataclass
 class LoggingConfig(Section):
     tensorboard: bool = MISSING  # write tb/
-    figures: bool = MISSING  # write figures/*.png
+    figures: bool = MISSING  # write figures/*.png, and *.pdf of the same for print
     animation: bool = MISSING  # write figures/mission.gif
     progress: bool = MISSING  # bars with the time left, on a terminal
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,10 @@ from uwirl.motion.planner import fitted
 from uwirl.runs import pictures
 from uwirl.runs.recorded import warn
 from uwirl.snr.estimate import ChannelEstimate
-from uwirl.study import run_folder, shadowing
+from uwirl.study import run_files, shadowing
 from uwirl.study.campaign import fly
-from uwirl.study.evaluation import Evaluation, table
+from uwirl.study.evaluation import Evaluation
+from uwirl.study.mission_table import table
 from uwirl.study.tensorboard import TensorBoard
 from uwirl.study.warnings import campaign_warnings, flight_warnings
 from uwirl.world.agent import Agent
@@ -33,6 +35,23 @@ log = logging.getLogger("uwirl")
 BATCH = 250
 # Number of iterates flown again, spread evenly over the learning: more would not show more.
 FLOWN_AGAIN = 40
+
+
+@dataclass(frozen=True)
+class Course:
+    """How a policy was learned.
+
+    Attributes:
+        records: the policy iterations.
+        costs: J of each iterate, None for those that were not flown again.
+        basis: gives the weights their names.
+        converged: whether learning converged.
+    """
+
+    records: Sequence[IterationRecord]
+    costs: Sequence[float | None]
+    basis: MotionBasis
+    converged: bool
 
 
 class MissionFlight:
@@ -96,9 +115,7 @@ class MissionFlight:
         flown: dict[str, Evaluation],
         stage_1: Estimated,
         board: TensorBoard | None = None,
-        records: Sequence[IterationRecord] = (),
-        basis: MotionBasis | None = None,
-        converged: bool | None = None,
+        course: Course | None = None,
     ) -> dict[str, Any]:
         """Write trajectory and figures of a mission, and log a table of several.
 
@@ -106,9 +123,7 @@ class MissionFlight:
             flown: evaluations by the name of their planner; the last one is the mission of the run.
             stage_1: readings and channel estimate.
             board: None for none.
-            records: the policy iterations, for the figure.
-            basis: the basis of their weights, for the figure.
-            converged: whether learning converged; None without learning.
+            course: how the last one was learned; None without learning.
 
         Returns:
             Entries of metrics.json.
@@ -116,25 +131,43 @@ class MissionFlight:
         evaluation = list(flown.values())[-1]
         trajectory, targets = evaluation.trajectory, self.evaluator.mission.targets
         messages = shadowing.messages(self.env, trajectory)
-        run_folder.write_trajectory(self.folder, evaluation, messages)
+        run_files.write_trajectory(self.folder, evaluation, messages)
         if board is not None:
             board.evaluation(evaluation, messages)
         if pictures.wanted(self.config.logging):
-            from uwirl.study import animation, figures
-
-            figure = figures.mission_figure(self.env.scenario, evaluation, messages, records, basis)
-            picture = pictures.save(figure, self.folder, "mission")
-            if board is not None:
-                board.picture(picture)
-            if self.config.logging.animation:
-                animation.save(self.env.scenario, evaluation, picture.with_suffix(".gif"))
-                log.info("animation: %s", picture.with_suffix(".gif"))
-        for line in table(flown, converged):
+            self._draw(flown, messages, board, course)
+        for line in table(flown, None if course is None else course.converged):
             log.info("%s", line)
         shadowed = shadowing.summary(self.env, trajectory, targets, stage_1.readings, stage_1.estimate)
         for sentence in flight_warnings(self.env.scenario, evaluation):
             warn(sentence)
         return evaluation.metrics() | shadowed
+
+    def _draw(
+        self,
+        flown: dict[str, Evaluation],
+        messages: shadowing.LinksAtMessages,
+        board: TensorBoard | None,
+        course: Course | None,
+    ) -> None:
+        from uwirl.study import animation, learning_figure, mission_figures
+
+        *others, (_, evaluation) = flown.items()
+        drawn = {
+            "mission": mission_figures.mission_figure(self.env.scenario, evaluation, messages),
+            "motion": mission_figures.motion_figure(evaluation, self.env.vehicle.tau_max),
+        }
+        if course is not None:
+            costs = {name: float(other.cost[0]) for name, other in others}
+            drawn["learning"] = learning_figure.learning_figure(course.records, course.costs, costs, course.basis)
+        for name, figure in drawn.items():
+            picture = pictures.save(figure, self.folder, name)
+            if board is not None:
+                board.picture(picture)
+        if self.config.logging.animation:
+            film = self.folder / "figures" / "mission.gif"
+            animation.save(self.env.scenario, evaluation, film)
+            log.info("animation: %s", film)
 
 
 def campaign(config: Config, agent_in: Callable[[Relay], Agent], folder: Path) -> dict[str, Any]:
@@ -163,11 +196,11 @@ def campaign(config: Config, agent_in: Callable[[Relay], Agent], folder: Path) -
     outcomes = fly(worlds, layouts, agent_in, build.make_evaluator(config, worlds), batch, watch)
     for line in outcomes.table():
         log.info("%s", line)
-    run_folder.write_layouts(folder, layouts, outcomes)
+    run_files.write_layouts(folder, layouts, outcomes)
     if pictures.wanted(config.logging):
-        from uwirl.study import figures
+        from uwirl.study.layouts_figure import layouts_figure
 
-        pictures.save(figures.layouts_figure(*shown[0], layouts.kind), folder, "layouts")
+        pictures.save(layouts_figure(*shown[0], layouts.kind), folder, "layouts")
     for sentence in campaign_warnings(outcomes):
         warn(sentence)
     return outcomes.metrics()

@@ -29,10 +29,10 @@ def wanted(settings: LoggingConfig) -> bool:
 
 
 def save(figure: Figure, folder: Path, name: str) -> Path:
-    """Save figures/NAME.png in the folder of a run; returns its path."""
-    from uwirl.study import figures
+    """Save figures/NAME.png, and a PDF beside it, in the folder of a run; returns the path of the former."""
+    from uwirl.study import style
 
     path = folder / "figures" / f"{name}.png"
-    figures.save(figure, path)
+    style.save(figure, path)
     log.info("figure: %s", path)
     return path

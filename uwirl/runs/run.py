@@ -23,11 +23,11 @@ from uwirl.motion.irl_planner import IrlPlanner
 from uwirl.motion.learning import Learning
 from uwirl.runs.interruption import Interruption
 from uwirl.runs.listeners import Board, Listener, Narrator
-from uwirl.runs.missions import MissionFlight, campaign
+from uwirl.runs.missions import Course, MissionFlight, campaign
 from uwirl.runs.recorded import recorded, warn
 from uwirl.runs.saving import Checkpoints, Origin
 from uwirl.snr.plausibility import implausible
-from uwirl.study import checkpoint, run_folder
+from uwirl.study import checkpoint, run_files, run_folder
 from uwirl.study.learning_file import load, take_estimate, take_trim, take_weights
 from uwirl.study.progress import bar
 from uwirl.study.tensorboard import TensorBoard
@@ -83,9 +83,9 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
     with bar("learning", getattr(config.planner, "max_time_s", 0.0), shown) as progress:
         listeners: list[Listener] = [Narrator(progress), _doubt, Board(board, records, checkpoints.every), checkpoints]
         estimated, planned = _heard(events, listeners, checkpoints.interruption)
-    metrics = run_folder.estimate_metrics(estimated.estimate)
+    metrics = run_files.estimate_metrics(estimated.estimate)
     if planned.learned is not None:
-        metrics |= run_folder.learning_metrics(planned.learned[1], config.scenario.dt_s)
+        metrics |= run_files.learning_metrics(planned.learned[1], config.scenario.dt_s)
     if config.scenario.layouts is not None:
         return metrics | campaign(config, planned.agent_in, folder)
 
@@ -96,7 +96,8 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
     flown, costs = flight.fly_learned(learning, state, records, estimated.estimate)
     start = float(flown["start policy"].cost[0])
     converged = records[-1].converged and flight.settled(flown[config.planner.name])
-    metrics |= flight.report(flown, estimated, board, records, learning.basis, converged) | {"converged": converged}
+    course = Course(records, costs, learning.basis, converged)
+    metrics |= flight.report(flown, estimated, board, course) | {"converged": converged}
     for sentence in learning_warnings(records[-1], costs, start, metrics["cost_total"]):
         warn(sentence)
     metrics |= {"cost_total_start_policy": start, "cost_per_iteration": costs}
@@ -168,7 +169,7 @@ def _evaluated(config: Config, folder: Path, path: Path, content: dict[str, Any]
     learning = Learning(planner, env, estimate)
     weights = take_weights(path, content, learning.basis, learning.learners)
     agent_in = partial(learning.agent, weights, take_trim(path, content, learning.learners))
-    metrics = run_folder.estimate_metrics(estimate)
+    metrics = run_files.estimate_metrics(estimate)
     if config.scenario.layouts is not None:
         return metrics | campaign(config, agent_in, folder)
     flight = MissionFlight(config, env, folder)

@@ -16,7 +16,7 @@ from uwirl.config.schema import Config
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
 from uwirl.runs.interruption import Interruption
 from uwirl.snr.estimate import ChannelEstimate
-from uwirl.study import checkpoint, run_folder
+from uwirl.study import checkpoint, run_files, run_folder
 from uwirl.study.checkpoint import CheckpointError
 from uwirl.study.learning_file import (
     history_of,
@@ -150,7 +150,7 @@ class Checkpoints:
         """Save the newest policy and the state from which learning can continue, and iterations.csv."""
         learner = {"learner": learner_of(state), "history": history_of(self.records), "metrics": metrics or {}}
         self._save("last.pt", policy_of(learning, state, self.estimate, self.records[-1]) | learner)
-        run_folder.write_iterations(self.folder.parent, self.records, (metrics or {}).get("cost_per_iteration", ()))
+        run_files.write_iterations(self.folder.parent, self.records, (metrics or {}).get("cost_per_iteration", ()))
 
     def best(self, learning: Learning, state: LearningState, costs: Sequence[float | None]) -> None:
         """Save the policy with the lowest J of those flown again, which is not always the last one."""

@@ -17,7 +17,7 @@ from uwirl.config.estimate_schema import EstimateConfig
 from uwirl.runs import pictures
 from uwirl.runs.interruption import Interruption
 from uwirl.runs.recorded import recorded, warn
-from uwirl.study import estimate_report, run_folder
+from uwirl.study import estimate_report, run_files, run_folder
 from uwirl.study.snr_map import Grid
 from uwirl.study.survey import Survey
 
@@ -86,12 +86,12 @@ def _estimate(config: EstimateConfig, survey: Survey, grid: Grid, sender: Tensor
         few = used.heard < estimate_report.LEAST
         _tell(["too few readings to tell what is wrong" if few else "nothing looks wrong"])
     snr_map = survey.map(grid, sender, config.map.capacity_kbps)
-    run_folder.write_estimate(folder, snr_map, diagnostics, survey.line)
+    run_files.write_estimate(folder, snr_map, diagnostics, survey.line)
     if pictures.wanted(config.logging):
         from uwirl.study.estimate_figure import estimate_figure
 
         pictures.save(estimate_figure(used.readings, estimate, diagnostics, snr_map, used.names), folder, "estimate")
-    metrics = run_folder.estimate_metrics(estimate) | estimate_report.open_metrics(survey.posterior) | survey.counts
+    metrics = run_files.estimate_metrics(estimate) | estimate_report.open_metrics(survey.posterior) | survey.counts
     metrics |= {"cost": float(estimate.cost), "evaluations": estimate.evaluations} | judged
     return metrics | {"map_from_m": sender.tolist(), "map_capacity_kbps": snr_map.threshold}
 

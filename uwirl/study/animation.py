@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from uwirl.study.atomic_io import write_whole
+from uwirl.study.colours import GREEN, ORANGE, colours_of
 from uwirl.study.evaluation import Evaluation
 from uwirl.world.scenario import Scenario
 
@@ -108,13 +109,14 @@ class _Film:
         self.cylinders = [Circle((0.0, 0.0), r, color="tab:gray") for r in radius]
         self.rings = [Circle((0.0, 0.0), r, ec="tab:gray", fill=False, ls=":") for r in influence]
         vehicles = range(self.eta.shape[1])
-        self.hulls = [Polygon(TRIANGLE, fc=f"C{i}", ec="k", lw=0.8, label=f"vehicle {i + 1}") for i in vehicles]
+        colours = colours_of(self.eta.shape[1])
+        self.hulls = [Polygon(TRIANGLE, fc=colours[i], ec="k", lw=0.8, label=f"vehicle {i + 1}") for i in vehicles]
         for patch in (*self.cylinders, *self.rings, *self.hulls):
             axes.add_patch(patch)
-        self.trails = [axes.plot([], [], color=f"C{i}", lw=1.2)[0] for i in vehicles]
+        self.trails = [axes.plot([], [], color=colours[i], lw=1.2)[0] for i in vehicles]
         self.nodes = [
-            *axes.plot(*self.chain[0, 0], "s", color="tab:green", mec="k", ms=8, label="source"),
-            *axes.plot(*self.chain[0, -1], "D", color="tab:red", mec="k", ms=8, label="destination"),
+            *axes.plot(*self.chain[0, 0], "s", color=GREEN, mec="k", ms=8, label="source"),
+            *axes.plot(*self.chain[0, -1], "D", color=ORANGE, mec="k", ms=8, label="destination"),
         ]
         handles = [*self.nodes, *self.hulls]
         self.figure.legend(handles=handles, loc="upper center", ncols=5, fontsize=9, frameon=False, handlelength=1.2)

@@ -8,13 +8,10 @@ import os
 import stat
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from torch import Tensor
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -60,12 +57,4 @@ def write_arrays(path: Path, **arrays: Any) -> None:
     buffer = io.BytesIO()
     here: dict[str, Any] = {name: x.numpy(force=True) if isinstance(x, Tensor) else x for name, x in arrays.items()}
     np.savez_compressed(buffer, **here)
-    write_whole(path, buffer.getvalue())
-
-
-def write_figure(path: Path, figure: Figure) -> None:
-    """Write a PNG file; its folder is created if missing."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=110, format="png")
     write_whole(path, buffer.getvalue())

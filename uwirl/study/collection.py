@@ -6,13 +6,14 @@ import math
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from uwirl.snr.intervals import student_t
 from uwirl.study.progress import bar
+from uwirl.study.run_files import read_iterations
 from uwirl.study.run_folder import read_metrics
 
 # Metrics shown in tables and figures, if runs have them.
@@ -66,11 +67,13 @@ class Job:
         name: its folder, relative to the collected one.
         overrides: its overrides, including the experiment if known.
         metrics: the other contents of metrics.json.
+        learned: vehicle seconds and J of each policy iteration that was flown again, from iterations.csv.
     """
 
     name: str
     overrides: dict[str, str]
     metrics: dict[str, Any]
+    learned: list[tuple[float, float]] = field(default_factory=list)
 
     @property
     def complete(self) -> bool:
@@ -206,19 +209,31 @@ def collect(folder: Path) -> Collection:
 
 def _read(found: Collection, folder: Path, here: Path) -> None:
     name = _name(folder, here)
+
+    def skip(file: str, error: OSError | ValueError) -> None:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        found.skipped.append((_name(folder, here / file), reason or "cannot be read"))
+
     try:
         metrics = read_metrics(here)
     except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        found.skipped.append((_name(folder, here / "metrics.json"), reason or "cannot be read"))
+        skip("metrics.json", error)
         return
+    learned: list[tuple[float, float]] = []
+    try:
+        learned = read_iterations(here)
+    except FileNotFoundError:
+        # Only runs that learn have one.
+        pass
+    except (OSError, ValueError) as error:
+        skip("iterations.csv", error)
     given = metrics.pop("overrides", None)
     # Runs of other versions do not record their overrides, but their folder names contain them.
     texts = given if isinstance(given, list) else BETWEEN.split(here.name) if "=" in here.name else []
     overrides = dict(_override(str(text)) for text in texts)
     if isinstance(metrics.get("experiment"), str):
         overrides = {"experiment": _writable(metrics["experiment"])} | overrides
-    found.jobs.append(Job(name, overrides, metrics))
+    found.jobs.append(Job(name, overrides, metrics, learned))
 
 
 def _override(text: str) -> tuple[str, str]:

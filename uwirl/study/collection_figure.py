@@ -6,14 +6,13 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
+import numpy as np
 from matplotlib.figure import Figure
 
-from uwirl.study.atomic_io import write_figure
-from uwirl.study.collection import MAIN, Collection, Job, as_number, numbers, told
+from uwirl.study import style
+from uwirl.study.collection import MAIN, Collection, Job, numbers, told
+from uwirl.study.colours import BLUE, colours_of
+from uwirl.study.learning_figure import draw_band, held_values
 
 COLUMNS = 3
 # More cannot be distinguished in a figure; 10,000 would take minutes, and more pixels than an image may have.
@@ -39,10 +38,10 @@ def draw(collection: Collection, folder: Path) -> list[Path]:
     metrics = [metric for metric in MAIN if _spread(jobs, metric)]
     if metrics:
         figures["boxes.png"] = boxes_figure(groups, metrics)
-    if any(curve(job) for job in jobs):
+    if any(job.learned for job in jobs):
         figures["learning_curves.png"] = curves_figure(groups)
     for name, figure in figures.items():
-        write_figure(folder / name, figure)
+        style.save(figure, folder / name)
     return [folder / name for name in figures]
 
 
@@ -52,51 +51,48 @@ def _spread(jobs: Sequence[Job], metric: str) -> bool:
     return not truths and len(set(numbers(jobs, metric))) > 1
 
 
+@style.paper
 def boxes_figure(groups: Mapping[str, Sequence[Job]], metrics: Sequence[str]) -> Figure:
     """One panel per metric, with one box and the points of each group."""
     columns = min(COLUMNS, len(metrics))
     rows = -(-len(metrics) // columns)
     lines = sum(1 + label.count("\n") for label in groups)
-    height = rows * (1.2 + 0.15 * len(groups) + 0.2 * lines)
-    figure = Figure(figsize=(5.0 * columns + 2.0, height), layout="constrained")
+    figure = style.new(style.PAGE, rows * (0.6 + 0.08 * len(groups) + 0.13 * lines))
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True).flatten()
     places = range(1, len(groups) + 1)
     for axes, metric in zip(panels, metrics, strict=False):
         values = [numbers(group, metric) for group in groups.values()]
         axes.boxplot(values, orientation="horizontal", positions=places, widths=0.6, showfliers=False)
         for place, value in zip(places, values, strict=True):
-            axes.plot(value, [place] * len(value), ".", color="#0072B2", alpha=0.6)
-        axes.set_yticks(places, list(groups), fontsize=9)
+            axes.plot(value, [place] * len(value), ".", color=BLUE, alpha=0.6)
+        axes.set_yticks(places, list(groups))
         axes.set(xlabel=metric)
-        axes.locator_params(axis="x", nbins=5)
+        axes.locator_params(axis="x", nbins=4)
         axes.ticklabel_format(axis="x", useOffset=False)
-        axes.grid(alpha=0.3, axis="x")
+        axes.grid(axis="x")
     panels[0].invert_yaxis()
     for axes in panels[len(metrics) :]:
         axes.set_visible(False)
     return figure
 
 
-def curve(job: Job) -> list[float]:
-    """Cost of each policy iteration; empty if there is none."""
-    costs = job.metrics.get("cost_per_iteration")
-    if not isinstance(costs, list):
-        return []
-    return [float("nan") if (number := as_number(x)) is None else number for x in costs]
-
-
+@style.paper
 def curves_figure(groups: Mapping[str, Sequence[Job]]) -> Figure:
-    """Cost over policy iterations, one line per job, one colour per group."""
-    figure = Figure(figsize=(9.0, 6.0), layout="constrained")
+    """J against vehicle seconds: of each group, the median of what its jobs knew at that time, and their range."""
+    named = len(groups) <= MOST_NAMED
+    figure = style.new(style.PAGE if named and len(groups) > 1 else style.COLUMN, 2.8)
     axes = figure.subplots()
-    for k, (label, group) in enumerate(groups.items()):
-        curves = [values for job in group if (values := curve(job))]
-        for j, values in enumerate(curves):
-            axes.plot(range(1, len(values) + 1), values, color=f"C{k % 10}", lw=1.0, label=None if j else label)
-    axes.set(xlabel="policy iteration", ylabel="cost of the mission")
-    axes.grid(alpha=0.3)
-    if len(groups) <= MOST_NAMED:
-        figure.legend(fontsize=8, loc="outside right upper")
+    last = max(job.learned[-1][0] for group in groups.values() for job in group if job.learned)
+    for (label, group), colour in zip(groups.items(), colours_of(len(groups)), strict=True):
+        curves = [np.array(job.learned).T for job in group if job.learned]
+        if curves:
+            times = np.unique(np.concatenate([[last], *(seconds for seconds, _ in curves)]))
+            known = np.stack([held_values(times, *curve) for curve in curves], -1)
+            draw_band(axes, times, known, colour, f"{label} ({len(curves)})")
+    axes.set(xlabel="vehicle time (s)", ylabel="$J$ of the mission", title="median and range over runs")
+    axes.grid()
+    if named:
+        figure.legend(loc="outside right upper", frameon=False)
     return figure
 
 

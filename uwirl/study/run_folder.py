@@ -2,37 +2,24 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import logging
-import math
 import shutil
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, fields
-from itertools import zip_longest
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from omegaconf import OmegaConf
-from torch import Tensor
 
 from uwirl.config.estimate_schema import EstimateConfig
 from uwirl.config.overrides import FREE
 from uwirl.config.schema import Config
-from uwirl.motion.learning import IterationRecord, LearningState
-from uwirl.snr.diagnostics import Diagnostics
-from uwirl.snr.estimate import NAMES, ChannelEstimate
-from uwirl.study.atomic_io import read_whole, write_arrays, write_whole
-from uwirl.study.campaign import Outcomes
-from uwirl.study.evaluation import Evaluation
-from uwirl.study.shadowing import LinksAtMessages
-from uwirl.study.snr_map import SnrMap
-from uwirl.world.layouts import Layouts
+from uwirl.study.atomic_io import read_whole, write_whole
 
 log = logging.getLogger("uwirl")
 
@@ -50,18 +37,6 @@ RESULTS = (
     "checkpoints",
     "figures",
     "tb",
-)
-
-# Columns of iterations.csv.
-ITERATION_COLUMNS = (
-    "iteration",
-    "vehicle_seconds",
-    "rows",
-    "weight_change",
-    "bellman_residual",
-    "condition_number",
-    "cost_total",
-    "converged",
 )
 
 
@@ -216,93 +191,3 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def estimate_metrics(estimate: ChannelEstimate) -> dict[str, Any]:
-    """Parameters of an estimate as entries of metrics.json: a number, or a list with one for each data set."""
-    metrics: dict[str, Any] = {}
-    for name in NAMES:
-        parameter = estimate.parameter(name)
-        known = parameter.identifiable.tolist()
-        # Unidentifiable values become null.
-        values, stds = ([x if t else None for x, t in zip(xs.tolist(), known, strict=True)] for xs in parameter[:2])
-        for key, row in (("", values), ("_std", stds), ("_identifiable", known)):
-            metrics[f"estimate_{name}{key}"] = row[0] if len(row) == 1 else row
-    return metrics
-
-
-def learning_metrics(state: LearningState, dt: float) -> dict[str, Any]:
-    """Entries of metrics.json about how it was learned, in steps of dt, s."""
-    return {
-        "learning_vehicle_seconds": state.seconds,
-        "learning_env_steps": round(state.seconds / dt),
-        "learning_collisions": state.contacts,
-        "policy_iterations": state.learner.iteration,
-    }
-
-
-def write_trajectory(folder: Path, evaluation: Evaluation, messages: LinksAtMessages) -> None:
-    """Write trajectory.npz, with the mission of the first world.
-
-    time_s [n + 1], eta, nu [n + 1, M, 4], tau [n, M, 4], link_capacity_kbps [n + 1, M + 1] from path loss alone, and
-    with shadowing link_capacity_shadowed_kbps [k, M + 1] at message_time_s [k].
-    """
-    trajectory = evaluation.trajectory
-    write_arrays(
-        folder / "trajectory.npz",
-        time_s=trajectory.time,
-        eta=trajectory.eta[:, 0],
-        nu=trajectory.nu[:, 0],
-        tau=trajectory.tau[:, 0],
-        link_capacity_kbps=evaluation.link_capacity[:, 0],
-        message_time_s=messages.time,
-        link_capacity_shadowed_kbps=messages.link_capacity,
-    )
-
-
-def write_iterations(folder: Path, records: Sequence[IterationRecord], costs: Sequence[float | None] = ()) -> None:
-    """iterations.csv: one row for each policy iteration; empty cells are not known.
-
-    Args:
-        folder: folder of the run.
-        records: of all iterations so far.
-        costs: J of each iterate, None for those that were not flown again; empty before the missions.
-    """
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(ITERATION_COLUMNS)
-    for record, cost in zip_longest(records, costs):
-        numbers = (record.weight_change, record.residual, record.condition, cost)
-        told = ["" if number is None else f"{number:.10g}" for number in (record.seconds, *numbers)]
-        table.writerow([record.iteration, told[0], record.rows, *told[1:], int(record.converged)])
-    write_whole(folder / "iterations.csv", text.getvalue().encode())
-
-
-def write_layouts(folder: Path, layouts: Layouts, outcomes: Outcomes) -> None:
-    """layouts.npz of N worlds: start [N, M, 4], centre [N, O, 2], nan of absent obstacles, radius, and Outcomes."""
-    obstacles = layouts.obstacles
-    write_arrays(
-        folder / "layouts.npz",
-        start=layouts.start,
-        centre=obstacles.centre.where(obstacles.present[..., None], math.nan),
-        radius=obstacles.radius,
-        **{field.name: getattr(outcomes, field.name) for field in fields(outcomes)},
-    )
-
-
-def write_estimate(folder: Path, snr_map: SnrMap, diagnostics: Diagnostics, line: Tensor) -> None:
-    """estimate.npz: the map [Y, X] over x_m and y_m, and of m readings line and residual."""
-    write_arrays(
-        folder / "estimate.npz",
-        x_m=snr_map.grid.x,
-        y_m=snr_map.grid.y,
-        z_m=snr_map.grid.z,
-        from_m=snr_map.sender,
-        snr_mean_dB=snr_map.mean,
-        snr_std_dB=snr_map.std,
-        capacity_kbps=snr_map.capacity,
-        outage=snr_map.outage,
-        line=line,
-        residual_dB=diagnostics.residual,
-        standardized=diagnostics.standardized,
-    )

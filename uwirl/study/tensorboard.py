@@ -17,6 +17,7 @@ from uwirl.config.schema import Config
 from uwirl.motion.features import AXES, MotionBasis
 from uwirl.motion.learning import IterationRecord
 from uwirl.snr.estimate import NAMES, ChannelEstimate
+from uwirl.study.colours import colours_of
 from uwirl.study.evaluation import Evaluation
 from uwirl.study.shadowing import LinksAtMessages
 
@@ -31,8 +32,6 @@ COMPARED = (
     "learning_collisions",
     "energy_J",
 )
-# Colours of vehicles in the mesh, RGB.
-COLOURS = ((31, 119, 180), (255, 127, 14), (44, 160, 44), (214, 39, 40), (148, 103, 189))
 
 
 class TensorBoard:
@@ -108,7 +107,7 @@ class TensorBoard:
         for term, value in evaluation.cost_terms.items():
             self.writer.add_scalar(f"cost/{term}", float(value[0]), 0)
         path = evaluation.trajectory.eta[:, 0, :, :3].float().cpu()
-        colours = torch.tensor([COLOURS[i % len(COLOURS)] for i in range(path.shape[1])], dtype=torch.uint8)
+        colours = torch.from_numpy((255.0 * colours_of(path.shape[1])).round()).to(torch.uint8)
         points = {"material": {"cls": "PointsMaterial", "size": 0.5}}
         self.writer.add_mesh("path", path.flatten(0, 1)[None], colours.repeat(len(path), 1)[None], config_dict=points)
 
