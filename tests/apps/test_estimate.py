@@ -12,12 +12,15 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from uwirl.config.compose import composed
+from uwirl.config.compose import compose, composed, to_object
 from uwirl.config.estimate_schema import register
 from uwirl.config.validate import validate_estimate
 from uwirl.runs import survey
+from uwirl.runs.run import run as fly
+from uwirl.runs.saving import Origin
 from uwirl.runs.survey import Prepared, run
 from uwirl.snr.estimate import NAMES
+from uwirl.study.checkpoint import CheckpointError
 
 SAMPLE = Path(__file__).parents[2] / "examples" / "readings.csv"
 TRUTH = {"K_dB": -60.0, "n": 2.0, "zeta2": 9.0, "varphi_m": 15.0, "rho2": 1.0}
@@ -26,7 +29,7 @@ HEADER = "vehicle_x_m,vehicle_y_m,vehicle_z_m,sensor_x_m,sensor_y_m,sensor_z_m,s
 
 def prepare(*overrides: str) -> Prepared:
     register()
-    config = OmegaConf.to_object(composed("estimate", overrides))
+    config = to_object(composed("estimate", overrides))
     validate_estimate(config)
     return survey.prepare(config)
 
@@ -266,7 +269,8 @@ def test_command_leaves_a_run_folder(tmp_path):
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert "varphi (m)" in result.stdout
     (folder,) = (tmp_path / "outputs" / "estimate").iterdir()
-    assert {path.name for path in folder.iterdir()} == {"config.yaml", "estimate.npz", "metrics.json", "run.log"}
+    written = {"config.yaml", "estimate.npz", "metrics.json", "run.log", "checkpoints"}
+    assert {path.name for path in folder.iterdir()} == written
 
 
 def test_sigterm_ends_it_and_says_so(tmp_path):
@@ -283,3 +287,34 @@ def test_sigterm_ends_it_and_says_so(tmp_path):
     assert written["status"] == "interrupted"
     assert written["error"].startswith("interrupted by SIGTERM with nothing saved to continue from")
     assert not (tmp_path / "run" / "estimate.npz").exists()
+
+
+QUIET = ("logging.figures=false", "logging.tensorboard=false")
+FLOWN = ("channel=acoustic_24khz", "planner=pd", "experiment=fig5_free", "scenario.duration_s=1", *QUIET)
+
+
+@pytest.mark.parametrize("vehicles", [1, 2])
+def test_missions_fly_on_an_estimate(sample, tmp_path, vehicles):
+    metrics, _, folder = sample
+    words = (*FLOWN, f"init_from={folder}", "init_from_parts=[estimate]", f"scenario.vehicles={vehicles}")
+    flown = fly(compose(words), "fig5_free", tmp_path, words)
+    assert flown["status"] == "complete"
+    for name in NAMES:
+        values = flown[f"estimate_{name}"]
+        assert values == (metrics[f"estimate_{name}"] if vehicles == 1 else [metrics[f"estimate_{name}"]] * 2)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("init_from={}", "channel=paper"), "other noise and absorption .*here -160.00 dB.*N0_dB"),
+        (("init_from={}", "channel.frequency_khz=12"), "other noise and absorption"),
+        (("init_from={}", "init_from_parts=[weights]"), "holds a channel estimate and no weights"),
+        (("resume={}",), "holds a channel estimate and no policy"),
+    ],
+)
+def test_what_an_estimate_does_not_serve_for_is_refused(sample, words, message):
+    *_, folder = sample
+    config = compose(["channel=acoustic_24khz", *(word.format(folder) for word in words)])
+    with pytest.raises(CheckpointError, match=message):
+        Origin.of(config)

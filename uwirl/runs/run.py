@@ -28,7 +28,7 @@ from uwirl.runs.recorded import recorded, warn
 from uwirl.runs.saving import Checkpoints, Origin
 from uwirl.snr.plausibility import implausible
 from uwirl.study import checkpoint, run_files, run_folder
-from uwirl.study.learning_file import load, take_estimate, take_trim, take_weights
+from uwirl.study.learning_file import load, other_budget, take_estimate, take_trim, take_weights
 from uwirl.study.progress import bar
 from uwirl.study.tensorboard import TensorBoard
 from uwirl.study.warnings import learning_warnings, mission_warnings
@@ -164,6 +164,9 @@ def evaluate(config: Config, experiment: str, folder: Path, path: Path) -> dict[
 def _evaluated(config: Config, folder: Path, path: Path, content: dict[str, Any]) -> dict[str, Any]:
     env = build.make_relay(config)
     estimate = take_estimate(path, content, env.budget, env.scenario.vehicles)
+    problem = other_budget(path, content, env.budget)
+    if problem:
+        warn(problem)
     planner = build.make_planner(config, config.planner, env)
     assert isinstance(planner, IrlPlanner)
     learning = Learning(planner, env, estimate)

@@ -11,8 +11,9 @@ from typing import Any
 from torch import Tensor
 
 import uwirl
+from uwirl import build
 from uwirl.algorithm import Estimated, Event, Improved, Planned, Start
-from uwirl.config.schema import Config
+from uwirl.config.schema import Config, InitPart
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
 from uwirl.runs.interruption import Interruption
 from uwirl.snr.estimate import ChannelEstimate
@@ -22,6 +23,7 @@ from uwirl.study.learning_file import (
     history_of,
     learner_of,
     load,
+    other_budget,
     policy_of,
     records_so_far,
     restore,
@@ -55,8 +57,19 @@ class Origin:
         if place is None:
             return cls()
         path = checkpoint.locate(Path(place))
-        parts = ("estimate", "everything") if config.resume else tuple(config.init_from_parts)
-        return cls(parts, path, load(path, config.device))
+        parts = ("estimate", "everything") if config.resume else tuple(map(str, config.init_from_parts))
+        content = load(path, config.device, policy=config.resume is not None)
+        if "actor" not in content:
+            # A log tells of the channel alone.
+            parts = tuple(part for part in parts if part == InitPart.estimate)
+            if not parts:
+                raise CheckpointError(
+                    f"{path}: holds a channel estimate and no weights; give init_from_parts=[estimate]"
+                )
+        problem = other_budget(path, content, build.make_channel(config.channel).budget)
+        if problem and InitPart.estimate in parts:
+            raise CheckpointError(problem + (", or init_from_parts=[weights]" if "actor" in content else ""))
+        return cls(parts, path, content)
 
     def config_hash(self, config: Config) -> str:
         """Hash of a run from here; the hash of the interrupted run if it is continued."""

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+import uwirl
 from uwirl import build
 from uwirl.config.checks import ConfigError
 from uwirl.config.estimate_schema import EstimateConfig
 from uwirl.runs import pictures
 from uwirl.runs.interruption import Interruption
 from uwirl.runs.recorded import recorded, warn
-from uwirl.study import estimate_report, run_files, run_folder
+from uwirl.study import checkpoint, estimate_report, run_files, run_folder
+from uwirl.study.learning_file import estimate_of
 from uwirl.study.snr_map import Grid
 from uwirl.study.survey import Survey
 
@@ -87,6 +89,12 @@ def _estimate(config: EstimateConfig, survey: Survey, grid: Grid, sender: Tensor
         _tell(["too few readings to tell what is wrong" if few else "nothing looks wrong"])
     snr_map = survey.map(grid, sender, config.map.capacity_kbps)
     run_files.write_estimate(folder, snr_map, diagnostics, survey.line)
+    content = {
+        "uwirl_version": uwirl.__version__,
+        "config": asdict(config),
+        "config_hash": run_folder.config_hash(config),
+    }
+    checkpoint.save(folder / "checkpoints" / "estimate.pt", content | estimate_of(estimate))
     if pictures.wanted(config.logging):
         from uwirl.study.estimate_figure import estimate_figure
 

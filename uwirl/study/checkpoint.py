@@ -24,7 +24,7 @@ class CheckpointError(ValueError):
 
 
 def locate(path: Path) -> Path:
-    """The checkpoint file for a path: for a run folder, its checkpoints/last.pt.
+    """The checkpoint file for a path: for a run folder, its checkpoints/last.pt, or estimate.pt of `uwirl-estimate`.
 
     Raises:
         CheckpointError: the folder has no checkpoint, or the path is not a file name.
@@ -34,8 +34,10 @@ def locate(path: Path) -> Path:
             return path
     except OSError as error:
         raise CheckpointError(f"{path}: cannot be read ({error.strerror})") from None
-    file = path / "checkpoints" / "last.pt"
+    file, estimate = path / "checkpoints" / "last.pt", path / "checkpoints" / "estimate.pt"
     if not file.is_file():
+        if estimate.is_file():
+            return estimate
         raise CheckpointError(
             f"{file}: there is no checkpoint; if the run ended before its first one, or was not one that learns, start "
             "it again with the command that started it"

@@ -19,23 +19,30 @@ from uwirl.study.checkpoint import CheckpointError
 from uwirl.world.acoustics import LinkBudget
 from uwirl.world.trajectory import WorldState
 
-# Keys that every checkpoint of a run contains.
+# Keys that every checkpoint of a run contains, and those of one that holds only a channel estimate.
 NEEDED = ("config", "config_hash", "overrides", "estimate", "actor", "trim", "features", "iteration")
+ESTIMATE = ("config", "config_hash", "estimate", "known_loss_dB")
+# Where link budgets are compared, m.
+DISTANCES_M = (1.0, 100.0, 10_000.0)
 _NUMBERS = ("iteration", "seconds", "weight_change", "converged", "rows", "closes", "residual", "condition")
 
 
-def load(path: Path, device: str = "cpu") -> dict[str, Any]:
+def load(path: Path, device: str = "cpu", policy: bool = True) -> dict[str, Any]:
     """Load a run's checkpoint.
 
     Args:
         path: path of the file.
         device: device for its tensors.
+        policy: whether it must contain a policy; a channel estimate is enough otherwise.
 
     Raises:
         CheckpointError: see `checkpoint.load`; or the file was not written by a run.
     """
     content = checkpoint.load(path, device)
-    missing = [name for name in NEEDED if name not in content]
+    estimate = "actor" not in content and all(name in content for name in ESTIMATE)
+    if policy and estimate:
+        raise CheckpointError(f"{path}: holds a channel estimate and no policy; learn one with `uwirl init_from=...`")
+    missing = [] if estimate else [name for name in NEEDED if name not in content]
     if missing:
         raise CheckpointError(f"{path}: lacks {', '.join(missing)}")
     return content
@@ -115,8 +122,29 @@ def policy_of(
         "actor": record.actor,
         "trim": state.trim,
         "features": features_of(learning.basis),
-        "estimate": estimate.state_dict(),
-    }
+    } | estimate_of(estimate)
+
+
+def estimate_of(estimate: ChannelEstimate) -> dict[str, Any]:
+    """A channel estimate as plain data, with the part of the SNR that was known beforehand at some distances."""
+    return {"estimate": estimate.state_dict(), "known_loss_dB": _known_loss(estimate.budget)}
+
+
+def _known_loss(budget: LinkBudget) -> list[float]:
+    return budget.known_loss_dB(torch.tensor(DISTANCES_M, dtype=torch.float64)).tolist()
+
+
+def other_budget(path: Path, content: dict[str, Any], budget: LinkBudget) -> str | None:
+    """What is wrong if the checkpoint's K and n were estimated with another link budget; None if nothing is."""
+    # Older checkpoints lack it.
+    ours = _known_loss(budget)
+    for l, here, there in zip(DISTANCES_M, ours, content.get("known_loss_dB", ours), strict=True):
+        if abs(here - there) > 1e-6:
+            return (
+                f"{path}: K and n were estimated with other noise and absorption ({there:.2f} dB at {l:g} m, here "
+                f"{here:.2f} dB); choose the channel of its config.yaml: N0_dB, absorption, frequency_khz, water"
+            )
+    return None
 
 
 def features_of(basis: Basis) -> dict[str, Any]:
