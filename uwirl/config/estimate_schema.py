@@ -51,7 +51,7 @@ class EstimateConfig(Section):
     estimator: EstimatorConfig = MISSING  # how readings become a channel; neither oracle nor disk
     max_readings: int = MISSING  # a log of more is thinned, in [3, 5000]
     map: MapConfig = MISSING  # of capacity and outage
-    logging: LoggingConfig = MISSING  # of which only figures is used
+    logging: LoggingConfig = MISSING  # of which only figures and progress are used
     threads: int = ruled(at_least(1))  # of torch
 
     def problems(self) -> Iterator[tuple[str, str]]:

@@ -20,6 +20,7 @@ from uwirl.runs.interruption import Interruption
 from uwirl.runs.recorded import recorded, warn
 from uwirl.study import checkpoint, estimate_report, run_files, run_folder
 from uwirl.study.learning_file import estimate_of
+from uwirl.study.progress import bar
 from uwirl.study.snr_map import Grid
 from uwirl.study.survey import Survey
 
@@ -74,20 +75,26 @@ def run(prepared: Prepared, folder: Path) -> dict[str, Any]:
 def _estimate(config: EstimateConfig, survey: Survey, grid: Grid, sender: Tensor, folder: Path) -> dict[str, Any]:
     used = survey.used
     _tell(estimate_report.introduction(survey, config.data or ""))
-    # Outliers have been removed already.
-    estimate = survey.estimate(build.make_estimator(replace(config.estimator, robust=False)))
-    _tell(estimate_report.table(estimate, survey.posterior, used.heard))
-    doubts = survey.doubts(estimate)
-    _doubt(doubts)
-    diagnostics = survey.diagnose()
-    judged = estimate_report.diagnostic_metrics(diagnostics, survey.line, used.names)
-    _tell(estimate_report.diagnosis(judged, used.heard))
-    suspicions = list(estimate_report.suspicions(judged, used.heard))
-    _doubt(suspicions)
-    if not doubts + suspicions:
-        few = used.heard < estimate_report.LEAST
-        _tell(["too few readings to tell what is wrong" if few else "nothing looks wrong"])
-    snr_map = survey.map(grid, sender, config.map.capacity_kbps)
+    # Estimate, what is possible, what the others predict, map: a second together, or half a minute of 1,500 readings.
+    with bar("estimating", 4, config.logging.progress) as progress:
+        # Outliers have been removed already.
+        estimate = survey.estimate(build.make_estimator(replace(config.estimator, robust=False)))
+        progress.update()
+        _tell(estimate_report.table(estimate, survey.posterior, used.heard))
+        doubts = survey.doubts(estimate)
+        _doubt(doubts)
+        progress.update()
+        diagnostics = survey.diagnose()
+        progress.update()
+        judged = estimate_report.diagnostic_metrics(diagnostics, survey.line, used.names)
+        _tell(estimate_report.diagnosis(judged, used.heard))
+        suspicions = list(estimate_report.suspicions(judged, used.heard))
+        _doubt(suspicions)
+        if not doubts + suspicions:
+            few = used.heard < estimate_report.LEAST
+            _tell(["too few readings to tell what is wrong" if few else "nothing looks wrong"])
+        snr_map = survey.map(grid, sender, config.map.capacity_kbps)
+        progress.update()
     run_files.write_estimate(folder, snr_map, diagnostics, survey.line)
     content = {
         "uwirl_version": uwirl.__version__,
