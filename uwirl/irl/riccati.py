@@ -1,11 +1,11 @@
 """Linear-quadratic subproblems of optimal control: a Riccati recursion over time, batched over problems.
 
     minimise    sum_k g_k' z_k + 1/2 z_k' H_k z_k,   z_k = (dx_k, du_k)
-    subject to  dx_k+1 = A_k dx_k + B_k du_k + d_k,   dx_0 given
+    subject to  dx_k+1 = A_k dx_k + B_k du_k + d_k,   dx_0 given,   low_k <= du_k <= high_k
 
 Step after step in time, everything of a step in four calls: a few hundred steps take tens of milliseconds for one or
 for a hundred problems. (D. Jacobson and D. Mayne, Differential Dynamic Programming, 1970; bounds on the control as in
-Y. Tassa et al., "Control-limited differential dynamic programming", ICRA 2014, with a step's bounds found once.)
+Y. Tassa et al., "Control-limited differential dynamic programming", ICRA 2014: approximately, see `solve`.)
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class LinearQuadratic(NamedTuple):
         dynamics: A, B and d side by side, [N, K, n, n + m + 1].
         cost: H of z and, in the last column, its gradient g, [N, K, n + m, n + m + 1].
         final: the same of dx_N, [K, n, n + 1].
-        low, high: controls that are at their lower or upper bound, bool [N, K, m].
+        low, high: bounds of du around zero, [N, K, m].
     """
 
     dynamics: Tensor
@@ -50,7 +50,10 @@ class Step(NamedTuple):
 
 
 def solve(problem: LinearQuadratic, start: Tensor) -> Step:
-    """The solution from dx_0 [K, n]. A control at a bound that the cost pushes outwards stays there.
+    """The solution from dx_0 [K, n].
+
+    A control at a bound that the cost pushes outwards stays there; one that would pass a bound stops at it, which its
+    law and the costs to go do not foresee.
 
     Raises:
         torch.linalg.LinAlgError: the cost is not convex in the controls.
@@ -60,7 +63,8 @@ def solve(problem: LinearQuadratic, start: Tensor) -> Step:
     affine = torch.arange(n + m + 1, device=start.device) == n + m
     rest = torch.cat([torch.arange(n), torch.tensor([n + m])]).to(start.device)
     transposed = problem.dynamics[..., :-1].mT.contiguous()
-    bounded = (problem.low | problem.high).flatten(1).any(-1).tolist()
+    at_low, at_high = problem.low >= 0.0, problem.high <= 0.0
+    bounded = (at_low | at_high).flatten(1).any(-1).tolist()
     value = problem.final
     laws, costates = [], [value[..., -1]]
     for k in range(N - 1, -1, -1):
@@ -68,8 +72,8 @@ def solve(problem: LinearQuadratic, start: Tensor) -> Step:
         all_of = torch.baddbmm(problem.cost[k], transposed[k], ahead)
         hessian, right = all_of[:, n:, n : n + m], all_of[:, n:][..., rest]
         if bounded[k]:
-            outwards = torch.where(problem.low[k], right[..., -1], -right[..., -1]) > 0.0
-            held = (problem.low[k] | problem.high[k]) & outwards
+            push = right[..., -1]
+            held = (at_low[k] & (push > 0.0)) | (at_high[k] & (push < 0.0))
             right = right.masked_fill(held[..., None], 0.0)
             both = held[..., None] | held[..., None, :]
             hessian = hessian.masked_fill(both, 0.0) + torch.diag_embed(held.to(hessian))
@@ -82,6 +86,7 @@ def solve(problem: LinearQuadratic, start: Tensor) -> Step:
     dx, du = [start], []
     one = torch.ones_like(start[:, :1])
     for k in range(N):
-        du.append((law[k] @ torch.cat([dx[-1], one], -1)[..., None])[..., 0])
+        wanted = (law[k] @ torch.cat([dx[-1], one], -1)[..., None])[..., 0]
+        du.append(torch.maximum(torch.minimum(wanted, problem.high[k]), problem.low[k]))
         dx.append((problem.dynamics[k] @ torch.cat([dx[-1], du[-1], one], -1)[..., None])[..., 0])
     return Step(torch.stack(dx), torch.stack(du), law[..., :-1], torch.stack(costates[::-1]))

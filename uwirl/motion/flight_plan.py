@@ -99,9 +99,8 @@ class FlightProblem:
         cost[..., 8:, 8:12] = torch.diag_embed(R * (1.0 + damping[:, None]))
         cost[..., 8:, 12] = R * effort
         low, high = self.bounds
-        near = 1e-9 * self.tau_max
         final = torch.cat([H[-1], g[-1][..., None]], -1)
-        return LinearQuadratic(dynamics, cost, final, effort <= low + near, effort >= high - near)
+        return LinearQuadratic(dynamics, cost, final, low - effort, high - effort)
 
     def merit(self, x: Tensor, effort: Tensor, price: Tensor) -> tuple[Tensor, Tensor]:
         """J plus priced defects [..., K], and J alone; price [K, 8]."""
@@ -150,13 +149,13 @@ def _searched(
         Whether the merit falls [K], the flights then, the share of the step [K], and the relative progress [K].
     """
     x, effort = now
-    price = MERIT * step.costate[1:].abs().amax(0)
+    price = MERIT * step.costate[1:].abs()
     before, _ = problem.merit(x, effort, price)
     before = before + ((step.dx[0]).abs() * MERIT * step.costate[0].abs()).sum(-1)
     share = x.new_tensor(SHARES)[:, None, None]
     xs = x[:, None] + share * step.dx[:, None]
     efforts = (effort[:, None] + share * step.du[:, None]).clamp(*problem.bounds)
-    after, _ = problem.merit(xs, efforts, price)
+    after, _ = problem.merit(xs, efforts, price[:, None])
     after = after + (1.0 - share[..., 0]) * ((step.dx[0]).abs() * MERIT * step.costate[0].abs()).sum(-1)
     merit, which = torch.where(after.isfinite(), after, torch.inf).min(0)
     better = merit < before
