@@ -1,0 +1,150 @@
+"""Parameters of a vehicle from its own flight, by integral regressors and recursive least squares.
+
+Over a window from t to t + T, the model of `uwirl.motion.vehicle_model` integrates to
+
+    (P(nu(t + T)) - P(nu(t))) theta + int Q(nu) theta dt = int tau dt
+
+so no acceleration is needed, and noise of the velocity enters at the window's ends alone. A row's weight is the inverse
+of its axis' residual; damping and inertia that come out negative are zero. Standard errors allow for residuals that
+differ in size from row to row and that neighbouring windows share (Newey and West, Econometrica 55(3), 1987).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwirl.irl.rls import RecursiveLeastSquares
+from uwirl.motion.vehicle_model import Regressor
+
+# Times that rows are weighed anew by their residuals.
+ROUNDS = 3
+# Windows on either side whose residuals may be alike.
+NEIGHBOURS = 2
+
+
+class Rows(NamedTuple):
+    """Windows of a flight: regressor theta = impulse.
+
+    Attributes:
+        regressor: [W, 4, p].
+        impulse: integral of tau, [W, 4].
+    """
+
+    regressor: Tensor
+    impulse: Tensor
+
+    @classmethod
+    def joined(cls, parts: list[Rows]) -> Rows:
+        """Rows of several flights."""
+        return cls(*(torch.cat(part) for part in zip(*parts, strict=True)))
+
+
+class Identified(NamedTuple):
+    """What a flight tells about its vehicle.
+
+    Attributes:
+        theta: [p].
+        std: standard errors, [p].
+    """
+
+    theta: Tensor
+    std: Tensor
+
+    def doubtful(self, names: tuple[str, ...], most: float) -> list[str]:
+        """Names of parameters other than zero whose standard error is more than so large a share of them."""
+        share = self.std / self.theta.abs()
+        return [name for name, x, s in zip(names, self.theta.tolist(), share.tolist(), strict=True) if x and s > most]
+
+
+@dataclass(frozen=True)
+class Windows:
+    """How a flight is cut into windows.
+
+    Attributes:
+        regressor: of the model.
+        dt: of the flight's steps, s.
+        steps: of a window.
+        stride: steps between the beginnings of windows.
+        depth: of the water, m: windows with contact to surface or floor tell nothing.
+    """
+
+    regressor: Regressor
+    dt: float
+    steps: int
+    stride: int
+    depth: float
+
+    def rows(self, eta: Tensor, nu: Tensor, tau: Tensor) -> Rows:
+        """Rows of vehicles flown side by side.
+
+        Args:
+            eta: [n + 1, L, 4].
+            nu: velocity through the water, [n + 1, L, 4].
+            tau: held over each step, [n, L, 4].
+        """
+        begin = torch.arange(0, len(tau) - self.steps + 1, self.stride, device=tau.device)
+        end = begin + self.steps
+        momentum, force = self.regressor.momentum(nu), self.regressor.force(nu)
+        mean = 0.5 * self.dt * (force[1:] + force[:-1])
+        so_far = torch.cat([torch.zeros_like(force[:1]), mean.cumsum(0)])
+        pushed = torch.cat([torch.zeros_like(tau[:1]), (self.dt * tau).cumsum(0)])
+        afloat = (eta[..., 2] < 0.0) & (eta[..., 2] > -self.depth)
+        aground = torch.nn.functional.pad((~afloat).long().cumsum(0), (0, 0, 1, 0))
+        free = aground[end + 1] == aground[begin]
+        regressor = momentum[end] - momentum[begin] + so_far[end] - so_far[begin]
+        return Rows(regressor[free], (pushed[end] - pushed[begin])[free])
+
+
+def identify(rows: Rows, regressor: Regressor, scale: Tensor) -> Identified:
+    """Weighted least squares over all rows.
+
+    Args:
+        rows: of one vehicle.
+        regressor: says which parameters are positive.
+        scale: of each axis' forces, [4], for the first weights.
+
+    Raises:
+        ValueError: fewer windows than parameters.
+    """
+    Y, b = rows.regressor.double(), rows.impulse.double()
+    W, _, p = Y.shape
+    if W < p:
+        raise ValueError(f"{W} windows of flight for {p} parameters: fly longer")
+    weight = (1.0 / scale).to(Y)
+    positive = torch.tensor(regressor.positive, device=Y.device)
+    for _ in range(ROUNDS):
+        free = torch.ones(p, dtype=torch.bool, device=Y.device)
+        while True:
+            theta, P = _solved(Y * weight[:, None] * free, b * weight)
+            theta = torch.where(free, theta, 0.0)
+            negative = positive & free & (theta < 0.0)
+            if not bool(negative.any()):
+                break
+            free &= ~negative
+        residual = (Y @ theta) - b
+        used, given = weight, residual
+        weight = 1.0 / residual.square().mean(0).sqrt().clamp_min(1e-9 * scale.to(Y))
+    score = torch.einsum("wap,wa->wp", Y * used[:, None], given * used)
+    spread = score.T @ score
+    for lag in range(1, NEIGHBOURS + 1):
+        both = score[lag:].T @ score[:-lag]
+        spread = spread + (1.0 - lag / (NEIGHBOURS + 1.0)) * (both + both.T)
+    covariance = P @ spread @ P
+    std = covariance.diagonal().clamp_min(0.0).sqrt() * (W / max(1, W - p / 4.0)) ** 0.5
+    return Identified(theta, torch.where(free, std, 0.0))
+
+
+def _solved(Y: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+    """Least squares of rows [W, 4, p] by RLS; also (Y'Y)^-1, [p, p]."""
+    A, c = Y.flatten(0, 1), b.flatten()
+    # Columns of one size, so that the start of P is as weak for all.
+    size = A.norm(dim=0).clamp_min(1e-12)
+    rls = RecursiveLeastSquares(A.shape[1], p0=1e8, device=str(A.device))
+    state = rls.init()
+    for row, value in zip((A / size)[:, None], c[:, None], strict=True):
+        state = rls.update(state, row, value)
+    return state.weight[0] / size, state.P[0] / size[:, None] / size
