@@ -79,6 +79,21 @@ class FlightCost:
             q = q + GUARD_WEIGHT * (GUARD_H - self._barrier(l, x)).clamp_min(0.0).square().sum(-1)
         return torch.tensordot(self.weights(len(x), x), q, 1) + self.dt * self.cost.control(effort).sum(0)
 
+    def rate_at(self, places: Tensor) -> Tensor:
+        """Cost rate of staying at places [K, P, 3] at the first node's time, without the yaw term, [K, P]."""
+        one = self.select(torch.arange(len(places), device=places.device).repeat_interleave(places.shape[1]))
+        x = torch.nn.functional.pad(places.flatten(0, 1), (0, 5))[None]
+        q = one._link(one._hop(x[..., :3])[0])
+        if self.obstacles.number:
+            q = q + self.cost.weights.beta_2 * one._avoidance(one._offset(x)[1])
+        return q.view(places.shape[:-1])
+
+    def gap(self, x: Tensor) -> Tensor:
+        """Smallest clearance of flights x [N + 1, K, 8] less the one to keep, [K], m; infinite in free water."""
+        if not self.obstacles.number:
+            return x.new_full((x.shape[1],), torch.inf)
+        return (self._offset(x)[1] - self.obstacles.radius).amin((0, -1)) - self.clearance
+
     def expanded(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Gradient [N + 1, K, 8] and Hessian [N + 1, K, 8, 8] of J by the nodes x [N + 1, K, 8]."""
         g, H = torch.zeros_like(x), x.new_zeros(*x.shape, 8)

@@ -46,7 +46,9 @@ def guesses(problem: FlightProblem, start: Tensor, paths: Tensor, depth: Tensor,
     arc = torch.nn.functional.pad(length(legs).cumsum(-1), (1, 0))
     whole = arc[:, -1:].clamp_min(1e-6)
     z = torch.lerp(start[:, 2:3], depth[:, None], arc / whole)
-    q = _cost_rate(cost, torch.cat([paths, z[..., None]], -1))
+    way = torch.cat([paths, z[..., None]], -1)
+    q = cost.rate_at(way)
+    q = (q - q[:, -1:]).clamp_min(0.0)
     left = whole - arc
     least = q.gather(-1, (left - NEAR).abs().argmin(-1, keepdim=True)).clamp_min(1e-4)
     speed = _pace(problem.model, cost.cost.R.to(q), torch.maximum(q, least))
@@ -58,7 +60,7 @@ def guesses(problem: FlightProblem, start: Tensor, paths: Tensor, depth: Tensor,
         share = enough + (first - enough).clamp_max(0.0) * torch.exp(-arc / PICK_UP)
         middle = 0.5 * (share[:, 1:] + share[:, :-1])
         at = torch.nn.functional.pad((takes.diff() / middle).cumsum(-1), (1, 0))
-        position, bearing, arrived = _followed(time, at, torch.cat([paths, z[..., None]], -1))
+        position, bearing, arrived = _followed(time, at, way)
         for heading in range(HEADINGS):
             psi = _heading(start[:, 3], cost.frame.bearing, bearing, arrived) if heading else None
             flights.append(_flight(problem, start, position, psi))
@@ -66,18 +68,6 @@ def guesses(problem: FlightProblem, start: Tensor, paths: Tensor, depth: Tensor,
     x = torch.stack(flights, 2).flatten(1, 2)
     rows = torch.arange(len(start), device=start.device).repeat_interleave(G)
     return x, _effort(problem.model.select(rows), x, dt)
-
-
-def _cost_rate(cost, places: Tensor) -> Tensor:  # type: ignore[no-untyped-def]
-    """q at places [K, P, 3] less that of the last one, [K, P], not below zero."""
-    x = torch.nn.functional.pad(places.transpose(0, 1), (0, 5))
-    q = cost._link(cost._hop(x[..., :3])[0])
-    if cost.obstacles.number:
-        still = cost.obstacles._replace(velocity=torch.zeros_like(cost.obstacles.velocity))
-        from dataclasses import replace
-
-        q = q + cost.cost.weights.beta_2 * cost._avoidance(replace(cost, obstacles=still)._offset(x)[1])
-    return (q - q[-1:]).T.clamp_min(0.0)
 
 
 def _pace(model: VehicleModel, R: Tensor, q: Tensor) -> Tensor:

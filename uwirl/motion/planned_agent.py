@@ -1,26 +1,33 @@
-"""The agent that flies plans: tau = trim + effort(t) + gain(t) (x - x(t)), planned anew as it learns more of its world."""
+"""The agent that flies plans: tau = trim + effort(t) + gain(t) (x - x(t)), planned anew as its world changes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from uwirl.motion.cost import RelayCost
 from uwirl.motion.flight_cost import FlightCost
 from uwirl.motion.flight_guesses import guesses
 from uwirl.motion.flight_plan import FlightProblem, Flights, optimise
+from uwirl.motion.guidance import GeodesicAgent, RouteCarry
 from uwirl.motion.link_frame import LinkFrame
-from uwirl.motion.route_tracker import Route, RouteTracker
+from uwirl.motion.route_tracker import Route
 from uwirl.motion.vehicle_model import VehicleModel
-from uwirl.world.geometry import turned_to_body, wrapped
+from uwirl.world.geometry import length, turned_to_body, turned_to_inertial, wrapped
 from uwirl.world.observation import Observation
+from uwirl.world.obstacles import Obstacles
 from uwirl.world.scenario import Scenario
 
-# Iterations on all guesses, on the best of them, and on the best one; and how many are the best.
-FIRST, MIDDLE, LAST, KEPT = 8, 8, 12, 2
+# Iterations on all guesses and on the best of them, on nodes twice as far apart; on the best one; how many are the best.
+FIRST, MIDDLE, LAST, KEPT = 8, 8, 10, 2
+# A plan whose dynamics are violated by more, or that comes closer to an obstacle than this, is not flown; s.u., m.
+MOST_DEFECT, LEAST_GAP = 0.1, -0.05
+# A vehicle farther from its plan than this begins a new one, m.
+LOST = 0.5
+# Fewer nodes are not worth a new plan.
+LEAST_NODES = 10
 
 
 @dataclass(frozen=True)
@@ -28,18 +35,20 @@ class PlanSettings:
     """How flights are planned.
 
     Attributes:
-        node_s: time between nodes, s.
+        node_s: time between nodes, s; a fast vehicle's Munk moment must not turn it far within.
         replan_s: time between plans, s.
         refine: iterations of a plan that begins with the one before.
         margin_m: clearance that the guard keeps, m.
         braking: braking distance for a squared speed of 1 (m/s)^2, as the guard counts it, s^2/m.
+        separation_m: distance that the guard keeps between vehicles, m.
     """
 
-    node_s: float = 0.2
+    node_s: float = 0.1
     replan_s: float = 2.0
     refine: int = 2
     margin_m: float = 0.1
     braking: float = 0.19
+    separation_m: float = 1.0
 
 
 class PlanCarry(NamedTuple):
@@ -47,12 +56,16 @@ class PlanCarry(NamedTuple):
 
     Attributes:
         route: known obstacles, and the way on the map from which plans begin.
+        push: of the reactive agent, see `RouteCarry`.
         first: step of the first node, int64 [B].
+        flown: whether the plan is good enough to be flown, bool [B M]; the reactive agent flies otherwise.
         x, effort, gain: of the plan, for B M vehicles, see `Flights`.
     """
 
     route: Route
+    push: Tensor
     first: Tensor
+    flown: Tensor
     x: Tensor
     effort: Tensor
     gain: Tensor
@@ -74,46 +87,55 @@ class PlannedAgent:
 
     Attributes:
         model: of one vehicle, [1]; all are alike.
-        tracker: finds the ways.
-        cost: running cost on the estimated channel, of M vehicles.
-        frame: their link frames, [M].
+        reactive: finds the ways, and flies where there is no good plan.
         tau_max: thruster limits, [4].
         scenario: duration and time step.
         settings: of the plans.
     """
 
     model: VehicleModel
-    tracker: RouteTracker
-    cost: RelayCost
-    frame: LinkFrame
+    reactive: GeodesicAgent
     tau_max: Tensor
     scenario: Scenario
     settings: PlanSettings
 
     def init(self, observation: Observation) -> PlanCarry:
         """Plan the whole flight."""
-        route = self.tracker.begin(observation)
+        begun = self.reactive.init(observation)
         rows = torch.arange(observation.eta[..., 0].numel(), device=observation.eta.device)
         nodes = round(self.scenario.duration / self.settings.node_s) + 1
-        plan = self._planned(rows, route, observation, nodes)
-        return PlanCarry(route, observation.step, plan.x, plan.effort, plan.gain)
+        plan, good = self._planned(rows, begun.route, observation, nodes)
+        return PlanCarry(begun.route, begun.push, observation.step, good, plan.x, plan.effort, plan.gain)
 
     def act(self, carry: PlanCarry, observation: Observation) -> tuple[Tensor, PlanCarry]:
         """tau [B, M, 4] and the next carry."""
         carry = self._replanned(carry, observation)
-        B, M = observation.eta.shape[:2]
+        tau = self._followed(carry, observation)
+        if bool(carry.flown.all()):
+            return tau, carry
+        reactive, after = self.reactive.act(RouteCarry(carry.route, carry.push), observation)
+        mask = carry.flown.view(tau.shape[:2])[..., None]
+        return torch.where(mask, tau, reactive), carry._replace(push=after.push)
+
+    def _followed(self, carry: PlanCarry, observation: Observation) -> Tensor:
+        """tau [B, M, 4] of the plans."""
+        k, rows, off, over = self._off(carry, observation)
+        # After its end a plan holds its last place.
+        effort = torch.where(over[:, None], 0.0, carry.effort[k, rows])
+        tau = self.model.trim + effort + (carry.gain[k, rows] @ off[..., None])[..., 0]
+        return tau.view(observation.eta.shape).to(observation.eta)
+
+    def _off(self, carry: PlanCarry, observation: Observation) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Node and number of each vehicle, its deviation from the plan [B M, 8], and whether that is over."""
+        M = observation.eta.shape[1]
         node = ((observation.step - carry.first) * self.scenario.dt / self.settings.node_s).repeat_interleave(M)
         last = len(carry.effort) - 1
         k = node.long().clamp(0, last)
         share = (node - k).clamp(0.0, 1.0)[:, None]
-        rows = torch.arange(B * M, device=node.device)
-        planned = torch.lerp(carry.x[k, rows], carry.x[k + 1, rows], share.to(carry.x))
-        off = self._state(observation) - planned
+        rows = torch.arange(len(k), device=k.device)
+        off = self._state(observation) - torch.lerp(carry.x[k, rows], carry.x[k + 1, rows], share.to(carry.x))
         off[:, 3] = wrapped(off[:, 3])
-        # After its end a plan holds its last place.
-        effort = torch.where((node > last + 1)[:, None], 0.0, carry.effort[k, rows])
-        tau = self.model.trim + effort + (carry.gain[k, rows] @ off[..., None])[..., 0]
-        return tau.view(B, M, 4).to(observation.eta), carry
+        return k, rows, off, node > last + 1
 
     def _state(self, observation: Observation) -> Tensor:
         """x [B M, 8] of vehicles, with nu through the water."""
@@ -121,66 +143,107 @@ class PlannedAgent:
         water = turned_to_body(torch.nn.functional.pad(self.model.current.expand(len(eta), 2), (0, 2)), eta[:, 3])
         return torch.cat([eta, nu - water], -1)
 
-    def _problem(self, rows: Tensor, route: Route, observation: Observation) -> FlightProblem:
-        """What vehicles, by their numbers among the B M, plan from now on."""
-        M, settings = observation.eta.shape[1], self.settings
-        own = rows % M
-        frame = LinkFrame(self.frame.target.double()[own], self.frame.bearing.double()[own])
-        clearance = self.scenario.vehicle_radius + settings.margin_m
-        begin = observation.time.repeat_interleave(M)[rows]
-        obstacles = route.obstacles.worlds(rows)
-        cost = FlightCost(self.cost.of(rows), frame, obstacles, begin, settings.node_s, clearance, settings.braking)
-        return FlightProblem(self.model.select(torch.zeros_like(rows)), cost, self.tau_max.double())
-
-    def _planned(self, rows: Tensor, route: Route, observation: Observation, nodes: int) -> Flights:
-        """Plans of some vehicles, from guesses on their ways."""
-        problem, start = self._problem(rows, route, observation), self._state(observation)[rows]
-        places = observation.position[..., :2].double().flatten(0, 1)
-        shared = len(route.plan.goal)
-        paths = route.plan.map.path(places.view(-1, shared, 2).transpose(0, 1)).transpose(0, 1).flatten(0, 1)[rows]
-        x, effort = guesses(problem, start, paths, route.goal.flatten(0, 1)[rows, 2].double(), nodes)
-        several = x.shape[1] // len(rows)
-        index = torch.arange(len(rows), device=rows.device)
-        of = index.repeat_interleave(several)
-        flights = optimise(problem.select(of), start[of], x, effort, FIRST)
-        for kept, iterations in ((KEPT, MIDDLE), (1, LAST)):
-            several = len(of) // len(rows)
-            price = torch.where(flights.J.isfinite(), flights.J + flights.defect, torch.inf)
-            best = price.view(-1, several).topk(kept, 1, largest=False).indices
-            of, chosen = index.repeat_interleave(kept), (index[:, None] * several + best).flatten()
-            flights = optimise(problem.select(of), start[of], flights.x[:, chosen], flights.effort[:, chosen], iterations)
-        return flights
-
     def _replanned(self, carry: PlanCarry, observation: Observation) -> PlanCarry:
-        """The carry with what is known now, and plans that are due improved or, where obstacles appeared, made anew."""
-        route = self.tracker.update(carry.route, observation)
-        every = round(self.settings.replan_s / self.scenario.dt)
-        since = observation.step - carry.first
+        """The carry with what is known now.
+
+        Plans that are due are improved; those of vehicles that found obstacles or left their plan are made anew.
+        """
+        route = self.reactive.tracker.update(carry.route, observation)
         M, nodes = observation.eta.shape[1], len(carry.x)
+        since = observation.step - carry.first
+        due = (since % round(self.settings.replan_s / self.scenario.dt) == 0) & (since > 0)
         found = (route.obstacles.present != carry.route.obstacles.present).any(-1)
         carry = carry._replace(route=route)
-        due = ((since % every == 0) & (since > 0)).repeat_interleave(M) & ~found
+        if not bool(due.any() | found.any()):
+            return carry
+        due = due.repeat_interleave(M)
+        lost = length(self._off(carry, observation)[2][:, :3]) > LOST
+        anew = found | (due & (lost | ~carry.flown))
         for passed in since.unique().tolist():
             node = round(passed * self.scenario.dt / self.settings.node_s)
-            if nodes - node < 5:
-                continue
             here = (since == passed).repeat_interleave(M)
-            for mask, fresh in ((here & found, True), (here & due, False)):
-                rows = mask.nonzero()[:, 0]
-                if len(rows):
-                    carry = self._from(carry, rows, node, observation, fresh)
+            if nodes - node >= LEAST_NODES:
+                carry = self._renewed(carry, (here & anew).nonzero()[:, 0], node, observation, True)
+                carry = self._renewed(carry, (here & due & ~anew).nonzero()[:, 0], node, observation, False)
         return carry
 
-    def _from(
-        self, carry: PlanCarry, rows: Tensor, node: int, observation: Observation, fresh: bool
+    def _renewed(
+        self, carry: PlanCarry, rows: Tensor, node: int, observation: Observation, anew: bool
     ) -> PlanCarry:
-        """The carry with new plans of some vehicles from a node on."""
-        x, effort, gain = carry.x.clone(), carry.effort.clone(), carry.gain.clone()
-        if fresh:
-            plan = self._planned(rows, carry.route, observation, len(x) - node)
+        """The carry with plans of some vehicles from a node on that are made anew, or improved."""
+        if not len(rows):
+            return carry
+        x, effort, gain, flown = (part.clone() for part in (carry.x, carry.effort, carry.gain, carry.flown))
+        if anew:
+            plan, good = self._planned(rows, carry.route, observation, len(x) - node)
         else:
             problem, start = self._problem(rows, carry.route, observation), self._state(observation)[rows]
             start[:, 3] = x[node, rows, 3] + wrapped(start[:, 3] - x[node, rows, 3])
             plan = optimise(problem, start, x[node:, rows], effort[node:, rows], self.settings.refine)
-        x[node:, rows], effort[node:, rows], gain[node:, rows] = plan.x, plan.effort, plan.gain
-        return carry._replace(x=x, effort=effort, gain=gain)
+            good = flown[rows]
+        x[node:, rows], effort[node:, rows], gain[node:, rows], flown[rows] = plan.x, plan.effort, plan.gain, good
+        return carry._replace(x=x, effort=effort, gain=gain, flown=flown)
+
+    def _planned(
+        self, rows: Tensor, route: Route, observation: Observation, nodes: int
+    ) -> tuple[Flights, Tensor]:
+        """Plans of some vehicles from guesses on their ways, and whether each is good enough to be flown."""
+        fine, start = self._problem(rows, route, observation), self._state(observation)[rows]
+        coarse = replace(fine, cost=replace(fine.cost, dt=2.0 * fine.cost.dt))
+        goal = route.goal.flatten(0, 1)[rows]
+        x, effort = guesses(coarse, start, self._ways(rows, route, observation), goal[:, 2].double(), nodes // 2 + 1)
+        index = torch.arange(len(rows), device=rows.device)
+        of = index.repeat_interleave(x.shape[1] // len(rows))
+        flights = optimise(coarse.select(of), start[of], x, effort, FIRST)
+        of, flights = _best(flights, index, KEPT)
+        flights = optimise(coarse.select(of), start[of], flights.x, flights.effort, MIDDLE)
+        _, best = _best(flights, index, 1)
+        x = torch.stack([best.x[:-1], 0.5 * (best.x[:-1] + best.x[1:])], 1).flatten(0, 1)
+        x = torch.cat([x, best.x[-1:]])[:nodes]
+        plan = optimise(fine, start, x, best.effort.repeat_interleave(2, 0)[: nodes - 1], LAST)
+        near = (fine.cost.gap(plan.x) > LEAST_GAP) | (fine.cost.gap(plan.x[:1]) <= LEAST_GAP)
+        good = plan.J.isfinite() & (plan.defect < MOST_DEFECT) & near & ~route.blocked.flatten()[rows]
+        return plan, good
+
+    def _ways(self, rows: Tensor, route: Route, observation: Observation) -> Tensor:
+        """Polylines from vehicles to their goals on the map, [K, P, 2], m."""
+        places = observation.position[..., :2].double().flatten(0, 1)
+        shared = len(route.plan.goal)
+        ways = route.plan.map.path(places.view(-1, shared, 2).transpose(0, 1))
+        return ways.transpose(0, 1).flatten(0, 1)[rows]
+
+    def _problem(self, rows: Tensor, route: Route, observation: Observation) -> FlightProblem:
+        """What vehicles, by their numbers among the B M, plan from now on."""
+        M, settings = observation.eta.shape[1], self.settings
+        frame = self.reactive.near.frame
+        frame = LinkFrame(frame.target.double()[rows % M], frame.bearing.double()[rows % M])
+        begin = observation.time.repeat_interleave(M)[rows]
+        clearance = self.scenario.vehicle_radius + settings.margin_m
+        obstacles = route.obstacles.worlds(rows)
+        if M > 1:
+            others = _as_obstacles(observation, settings.separation_m - clearance).each(lambda field: field[rows])
+            obstacles = Obstacles(*(torch.cat(pair, 1) for pair in zip(obstacles, others, strict=True)))
+        cost = self.reactive.cost.of(rows)
+        flights = FlightCost(cost, frame, obstacles, begin, settings.node_s, clearance, settings.braking)
+        return FlightProblem(self.model.select(torch.zeros_like(rows)), flights, self.tau_max.double())
+
+
+def _best(flights: Flights, index: Tensor, kept: int) -> tuple[Tensor, Flights]:
+    """The best of several flights of each of K problems: numbers of their problems, and themselves."""
+    several = len(flights.J) // len(index)
+    price = torch.where(flights.J.isfinite(), flights.J + flights.defect, torch.inf).view(-1, several)
+    best = price.topk(min(kept, several), 1, largest=False).indices
+    return index.repeat_interleave(best.shape[1]), flights.select((index[:, None] * several + best).flatten())
+
+
+def _as_obstacles(observation: Observation, radius: float) -> Obstacles:
+    """The other vehicles as each of them was heard, flying on as they do; fields [B M, M(, 2)]."""
+    heard = observation.messages
+    velocity = turned_to_inertial(heard.nu[..., :2], heard.eta[..., 3]).double()
+    centre = heard.eta[..., :2].double() - velocity * observation.time[:, None, None, None]
+    size = torch.full_like(centre[..., 0], radius)
+    M = size.shape[-1]
+    present = ~torch.eye(M, dtype=torch.bool, device=size.device).expand(size.shape)
+    # No farther influence: the running cost counts no vehicles.
+    parts = Obstacles(centre=centre, radius=size, influence=size, velocity=velocity, present=present)
+    return parts.each(lambda field: field.flatten(0, 1))

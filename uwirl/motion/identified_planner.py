@@ -1,0 +1,159 @@
+"""planner=identified: a model of the vehicle learned from a minute of its flight, and optimal flights on that model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from uwirl.irl.networks import LinearActor
+from uwirl.motion.calibration import calibration_hover
+from uwirl.motion.cost import CostWeights
+from uwirl.motion.experience import Exploration, contacts_while
+from uwirl.motion.features import LinkFrameBasis
+from uwirl.motion.guidance import Geodesic, GeodesicAgent
+from uwirl.motion.identification import Identified, Rows, Windows, identify
+from uwirl.motion.linear_agent import LinearAgent, LinkController, LinkView
+from uwirl.motion.mission import Mission
+from uwirl.motion.planned_agent import PlannedAgent, PlanSettings
+from uwirl.motion.route import Router
+from uwirl.motion.route_tracker import RouteTracker
+from uwirl.motion.safety import EnergyGuard
+from uwirl.motion.vehicle_model import Fossen, Regressor, VehicleModel
+from uwirl.snr.estimate import ChannelEstimate
+from uwirl.world.agent import Agent, Guard, Guarded
+from uwirl.world.relay import Relay
+from uwirl.world.trajectory import Trajectory
+
+# Saturation lengths of the start policy's features, m.
+SCALES = (2.0, float("inf"))
+
+
+class UnidentifiedError(ValueError):
+    """The flight does not tell the parameters of the vehicle."""
+
+
+class Learned(NamedTuple):
+    """What has been learned after so many seconds of flight.
+
+    Attributes:
+        identified: parameters and standard errors; None while there are fewer windows than parameters.
+        trim: tau that holds the vehicle at rest, [4], from the hover.
+        seconds: vehicle time, s, of all vehicles.
+        contacts: with obstacles, while learning.
+    """
+
+    identified: Identified | None
+    trim: Tensor
+    seconds: float
+    contacts: int
+
+
+@dataclass(frozen=True)
+class IdentifiedPlanner:
+    """Learns a model in flight, then plans on it.
+
+    Attributes:
+        cost: weights of the running cost.
+        guard: guard between agent and thrusters while learning.
+        guidance: the map's settings, and the law that flies where there is no good plan.
+        experience: excitation and virtual links of the learning flight.
+        calibration_s: duration of the hover that finds the trim, s.
+        max_time_s: duration of the learning flight, the hover included, s.
+        window_s: of the integrals of one row, s.
+        most_doubt: largest standard error, as a share of its parameter, of inertia.
+        node_s, replan_s, refine: see PlanSettings.
+        regressor: structure of the model.
+    """
+
+    cost: CostWeights
+    guard: Guard
+    guidance: Geodesic
+    experience: Exploration
+    calibration_s: float
+    max_time_s: float
+    window_s: float
+    most_doubt: float
+    node_s: float
+    replan_s: float
+    refine: int
+    regressor: Regressor = Fossen()
+
+    def learn(self, env: Relay, estimate: ChannelEstimate) -> Iterator[Learned]:
+        """Hover, then fly to virtual links with excitation; yields what is known after each leg.
+
+        Raises:
+            UnidentifiedError: the inertia remains in doubt at the end.
+        """
+        mission = Mission(env, estimate.channel, self.cost)
+        basis = LinkFrameBasis(mission.cost, list(SCALES))
+        actor = LinearActor(basis, basis.start_weights()[None])
+        hover, trim = calibration_hover(env, actor, mission.cost, self.calibration_s, self.guard)
+        trim = trim.mean(0)
+        dt, vehicles = env.scenario.dt, env.worlds * env.scenario.vehicles
+        steps = round(self.window_s / dt)
+        windows = Windows(self.regressor, dt, steps, steps, env.scenario.depth)
+        rows, world, leg = [_rows(windows, hover)], hover.end.detached(), 0
+        hit, seconds = contacts_while(env, hover), float(hover.time[-1])
+        poses = self.experience.poses(env.scenario, bool(env.scenario.obstacles.number))
+        while True:
+            all_of = Rows.joined(rows)
+            enough = len(all_of.regressor) > len(self.regressor.names)
+            known = identify(all_of, self.regressor, env.vehicle.tau_max) if enough else None
+            yield Learned(known, trim, seconds * vehicles, hit)
+            if seconds >= self.max_time_s:
+                break
+            legs = round(self.experience.leg_s / dt)
+            view = LinkView(poses.frame(env, world.vehicles.eta, leg))
+            wave = self.experience.excitation.draw(env.streams, env.scenario.vehicles, leg, legs, dt)
+            wave = wave.to(trim).view(legs, *world.vehicles.eta.shape)
+            agent = LinearAgent(view, actor, trim, wave.to(world.vehicles.eta), int(world.step[0]))
+            flown = env.rollout(Guarded(agent, self.guard), world, legs)
+            rows.append(_rows(windows, flown))
+            hit, seconds = hit + contacts_while(env, flown), seconds + self.experience.leg_s
+            world, leg = flown.end.detached(), leg + 1
+        self._check(known)
+
+    def _check(self, known: Identified | None) -> None:
+        if known is None:
+            raise UnidentifiedError("planner.max_time_s: too short a flight for the model's parameters")
+        inertia = [x for x in known.doubtful(self.regressor.names, self.most_doubt) if x in self.regressor.names[:4]]
+        if inertia:
+            raise UnidentifiedError(
+                f"experience.excitation_rms: the flight was too calm to tell {', '.join(inertia)}: excite more, or fly "
+                "longer (planner.max_time_s)"
+            )
+
+    def agent(self, env: Relay, estimate: ChannelEstimate, learned: Learned) -> Agent:
+        """The agent that plans with what has been learned, in worlds between the same nodes."""
+        assert learned.identified is not None
+        mission = Mission(env, estimate.channel, self.cost)
+        device = env.vehicle.tau_max.device
+        basis = LinkFrameBasis(mission.cost, list(SCALES))
+        near = LinkController(mission.targets.frame, LinearActor(basis, basis.start_weights()[None]), learned.trim)
+        guidance = self.guidance
+        router = Router(env.scenario, mission.targets.frame, mission.cost, guidance.margin_m, guidance.map_settings)
+        tracker = RouteTracker(env.scenario, router)
+        reactive = GeodesicAgent(near, tracker, mission.cost, guidance, env.scenario.dt)
+        settings = PlanSettings(self.node_s, self.replan_s, self.refine, guidance.margin_m)
+        if isinstance(self.guard, EnergyGuard):
+            braking = self.guard.mass_upper_kg / (2.0 * self.guard.brake_force_N)
+            settings = replace(settings, braking=braking, separation_m=self.guard.separation_m)
+        theta = learned.identified.theta.to(device)[None]
+        model = VehicleModel(self.regressor, theta, theta.new_zeros(1, 2))
+        return PlannedAgent(model, reactive, env.vehicle.tau_max, env.scenario, settings)
+
+    @torch.no_grad()
+    def fit(self, env: Relay, estimate: ChannelEstimate) -> Agent:
+        """Learn, and return the agent."""
+        *_, learned = self.learn(env, estimate)
+        return self.agent(env, estimate, learned)
+
+
+def _rows(windows: Windows, flown: Trajectory) -> Rows:
+    """Rows of all vehicles of a flight, which are alike."""
+    eta, nu, tau = (x.double().flatten(1, 2) for x in (flown.states.eta, flown.states.nu, flown.tau))
+    return windows.rows(eta, nu, tau)
