@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from uwirl.motion.identified_planner import IdentifiedPlanner, Learned
 from uwirl.motion.irl_planner import IrlPlanner
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
 from uwirl.motion.planner import Planner, fitted
@@ -52,6 +53,13 @@ class Improved(NamedTuple):
     records: list[IterationRecord]
 
 
+class Modelled(NamedTuple):
+    """The end of a leg of a flight that identifies a model: names of its parameters, and what is known of them."""
+
+    names: tuple[str, ...]
+    learned: Learned
+
+
 class Planned(NamedTuple):
     """The end of stage 2: the agent for any worlds between the same nodes, and how it was learned; None if planned."""
 
@@ -59,7 +67,7 @@ class Planned(NamedTuple):
     learned: tuple[Learning, LearningState] | None
 
 
-Event = Estimated | Improved | Planned
+Event = Estimated | Improved | Modelled | Planned
 
 
 @torch.no_grad()
@@ -73,7 +81,7 @@ def algorithm_1(env: Relay, estimator: Estimator, planner: Planner, start: Start
         start: what is known before; None for nothing.
 
     Yields:
-        Estimated, then Improved after each leg if the planner learns, then Planned.
+        Estimated, then Improved or Modelled after each leg if the planner learns, then Planned.
     """
     start = start or Start()
     if start.estimate is None:
@@ -82,6 +90,11 @@ def algorithm_1(env: Relay, estimator: Estimator, planner: Planner, start: Start
         readings, estimate = readings_of_each_vehicle(env), start.estimate
     yield Estimated(readings, estimate)
 
+    if isinstance(planner, IdentifiedPlanner):
+        for learned in planner.learn(env, estimate):
+            yield Modelled(planner.regressor.names, learned)
+        yield Planned(lambda worlds: planner.agent(worlds, estimate, learned), None)
+        return
     if not isinstance(planner, IrlPlanner):
         yield Planned(lambda worlds: fitted(planner, worlds, estimate), None)
         return

@@ -26,7 +26,7 @@ SafetyName = StrEnum("SafetyName", ["energy", "barrier", "none"])
 GuidanceName = StrEnum("GuidanceName", ["straight", "geodesic", "unit_cost"])
 SolverName = StrEnum("SolverName", ["z_rls", "batch", "bounded_batch", "rls_paper", "rls_forgetting"])
 ExperienceName = StrEnum("ExperienceName", ["virtual_links", "parallel"])
-PlannerName = StrEnum("PlannerName", ["irl", "pd", "potential_field", "trajectory_optimization"])
+PlannerName = StrEnum("PlannerName", ["irl", "identified", "pd", "potential_field", "trajectory_optimization"])
 
 Avoidance = StrEnum("Avoidance", ["smooth", "printed"])
 ActorSign = StrEnum("ActorSign", ["corrected", "printed"])
@@ -205,7 +205,9 @@ class ParallelConfig(ExperienceConfig, names=(ExperienceName.parallel,), file="p
 
 @dataclass
 class PlannerConfig(MadeConfig, family="planner"):
-    name: str = MISSING  # irl | pd | potential_field | trajectory_optimization; any with a class of your own
+    name: str = (
+        MISSING  # irl | identified | pd | potential_field | trajectory_optimization; any with a class of your own
+    )
 
 
 @dataclass
@@ -223,6 +225,17 @@ class IrlConfig(PlannerConfig, names=(PlannerName.irl,), file="irl_schema"):
     tolerance_weights: float = ruled(not_negative)
     tolerance_inverse_capacity: float = ruled(not_negative)  # epsilon_4, s/kbit
     max_time_s: float = ruled(positive)  # s; T_max,2, vehicle time
+
+
+@dataclass
+class IdentifiedConfig(PlannerConfig, names=(PlannerName.identified,), file="identified_schema"):
+    calibration_s: float = MISSING  # s; of hovering, in which trim is measured
+    max_time_s: float = ruled(positive)  # s; of the flight that identifies the model, the hover included
+    window_s: float = MISSING  # s; of the integrals of one row
+    most_doubt: float = ruled(positive)  # largest standard error of an inertia, as a share of it
+    node_s: float = ruled(positive)  # s; between the nodes of a plan
+    replan_s: float = MISSING  # s; between plans
+    refine: int = ruled(at_least(0))  # iterations of a plan that begins with the one before
 
 
 @dataclass

@@ -21,6 +21,7 @@ from uwirl.config.motion_schema import (
     EnergyGuardConfig,
     GeodesicConfig,
     GuardConfig,
+    IdentifiedConfig,
     IrlConfig,
     PdConfig,
     TrajectoryOptimizationConfig,
@@ -235,7 +236,7 @@ def _guidance(config: Config) -> Problems:
 def _planner(key: str, planner: Any, config: Config) -> Problems:
     """Times in whole steps, and what else a planner needs of other sections."""
     dt = config.scenario.dt_s
-    if isinstance(planner, (IrlConfig, PdConfig)):
+    if isinstance(planner, (IrlConfig, IdentifiedConfig, PdConfig)):
         problem = in_steps(planner.calibration_s, dt, least=4)
         if problem:
             yield f"{key}.calibration_s", problem
@@ -244,8 +245,25 @@ def _planner(key: str, planner: Any, config: Config) -> Problems:
             section = getattr(config, family)
             if section.target not in (None, type(section).target):
                 yield f"{key}.name", f"plans with the equations of uwirl's own {family}, not of {family}.target"
+    if isinstance(planner, IdentifiedConfig):
+        yield from _identifier(key, planner, config)
     if isinstance(planner, IrlConfig):
         yield from _learner(key, planner, config)
+
+
+def _identifier(key: str, planner: IdentifiedConfig, config: Config) -> Problems:
+    dt, experience = config.scenario.dt_s, config.experience
+    times = [(f"{key}.window_s", planner.window_s), (f"{key}.replan_s", planner.replan_s)]
+    for name, seconds in (*times, ("experience.leg_s", experience.leg_s)):
+        problem = in_steps(seconds, dt, 1)
+        if problem:
+            yield name, problem
+    if planner.node_s < dt:
+        yield f"{key}.node_s", f"must be at least scenario.dt_s = {dt:g}, got {planner.node_s:g}"
+    if planner.max_time_s < planner.calibration_s + experience.leg_s:
+        yield f"{key}.max_time_s", f"{planner.max_time_s:g} s is shorter than the calibration hover and one leg"
+    if not isinstance(config.guidance, GeodesicConfig):
+        yield "guidance.name", "planner=identified plans along the ways of guidance=geodesic"
 
 
 def _learner(key: str, planner: IrlConfig, config: Config) -> Problems:

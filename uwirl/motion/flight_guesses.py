@@ -135,7 +135,9 @@ def _smooth(values: Tensor, half: int) -> Tensor:
     """Moving average of values [n, ...] over 2 half + 1 nodes, the ends repeated."""
     if not half:
         return values
-    padded = torch.cat([values[:1].expand(half, *values.shape[1:]), values, values[-1:].expand(half, *values.shape[1:])])
+    padded = torch.cat(
+        [values[:1].expand(half, *values.shape[1:]), values, values[-1:].expand(half, *values.shape[1:])]
+    )
     return padded.unfold(0, 2 * half + 1, 1).mean(-1)
 
 

@@ -49,9 +49,7 @@ class Flights(NamedTuple):
 
     def select(self, rows: Tensor) -> Flights:
         """Some of the flights, by their numbers."""
-        return Flights(
-            self.x[:, rows], self.effort[:, rows], self.gain[:, rows], self.J[rows], self.defect[rows]
-        )
+        return Flights(self.x[:, rows], self.effort[:, rows], self.gain[:, rows], self.J[rows], self.defect[rows])
 
 
 @dataclass(frozen=True)
@@ -132,7 +130,7 @@ def optimise(problem: FlightProblem, start: Tensor, x: Tensor, effort: Tensor, i
         better, (x[:, rows], effort[:, rows]), share, progress = _searched(some, now, step)
         gain[:, rows] = step.gain
         old = damping[rows]
-        raised = (old.clamp_min(LEAST_DAMPING) * 8.0)
+        raised = old.clamp_min(LEAST_DAMPING) * 8.0
         lowered = torch.where(share >= 0.5, old / 4.0, old * 2.0)
         damping[rows] = torch.where(better, torch.where(lowered < 1e-3, 0.0, lowered), raised)
         calm[rows] = torch.where(better & (progress < TOLERANCE), calm[rows] + 1, 0)

@@ -167,9 +167,7 @@ class PlannedAgent:
                 carry = self._renewed(carry, (here & due & ~anew).nonzero()[:, 0], node, observation, False)
         return carry
 
-    def _renewed(
-        self, carry: PlanCarry, rows: Tensor, node: int, observation: Observation, anew: bool
-    ) -> PlanCarry:
+    def _renewed(self, carry: PlanCarry, rows: Tensor, node: int, observation: Observation, anew: bool) -> PlanCarry:
         """The carry with plans of some vehicles from a node on that are made anew, or improved."""
         if not len(rows):
             return carry
@@ -184,9 +182,7 @@ class PlannedAgent:
         x[node:, rows], effort[node:, rows], gain[node:, rows], flown[rows] = plan.x, plan.effort, plan.gain, good
         return carry._replace(x=x, effort=effort, gain=gain, flown=flown)
 
-    def _planned(
-        self, rows: Tensor, route: Route, observation: Observation, nodes: int
-    ) -> tuple[Flights, Tensor]:
+    def _planned(self, rows: Tensor, route: Route, observation: Observation, nodes: int) -> tuple[Flights, Tensor]:
         """Plans of some vehicles from guesses on their ways, and whether each is good enough to be flown."""
         fine, start = self._problem(rows, route, observation), self._state(observation)[rows]
         coarse = replace(fine, cost=replace(fine.cost, dt=2.0 * fine.cost.dt))

@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 from tqdm import tqdm
 
-from uwirl.algorithm import Estimated, Event, Improved, Planned
+from uwirl.algorithm import Estimated, Event, Improved, Modelled, Planned
+from uwirl.motion.identified_planner import Learned
 from uwirl.motion.learning import IterationRecord
 from uwirl.study.tensorboard import TensorBoard
 
@@ -35,6 +36,8 @@ class Narrator:
                     log.info("channel estimate: %s", line)
             case Improved(records=[*_, newest]):
                 self._progress(newest)
+            case Modelled(names, learned) if learned.identified is not None:
+                self._model(names, learned)
             case Planned(_, learned):
                 if learned is not None:
                     state = learned[1]
@@ -43,6 +46,14 @@ class Narrator:
                     log.info(
                         "learned in %d policy iterations from %.0f s of flight%s", iterations, state.seconds, settled
                     )
+
+    def _model(self, names: tuple[str, ...], learned: Learned) -> None:
+        assert learned.identified is not None
+        if learned.seconds >= self.next_line_s or not self.bar.disable:
+            known = zip(names, *(part.tolist() for part in learned.identified), strict=True)
+            told = ", ".join(f"{name} {value:.3g} +- {std:.1g}" for name, value, std in known)
+            log.info("  learning: %.0f s flown, %s", learned.seconds, told)
+            self.next_line_s = learned.seconds + 60.0
 
     def _progress(self, record: IterationRecord) -> None:
         flown = f"{record.seconds:.0f} s flown"
@@ -79,3 +90,5 @@ class Board:
                 self.untold = []
                 if state.flight.leg % self.every == 0:
                     self.board.flush()
+            case Modelled(names, learned):
+                self.board.model(names, learned)

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from uwirl import build
-from uwirl.algorithm import Estimated, Event, Planned, algorithm_1
+from uwirl.algorithm import Estimated, Event, Modelled, Planned, algorithm_1
 from uwirl.config.cautions import cautions
 from uwirl.config.overrides import effective
 from uwirl.config.schema import Config
@@ -82,14 +82,20 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
     shown = config.logging.progress and isinstance(planner, IrlPlanner)
     with bar("learning", getattr(config.planner, "max_time_s", 0.0), shown) as progress:
         listeners: list[Listener] = [Narrator(progress), _doubt, Board(board, records, checkpoints.every), checkpoints]
-        estimated, planned = _heard(events, listeners, checkpoints.interruption)
+        ends = _heard(events, listeners, checkpoints.interruption)
+    estimated, planned, modelled = ends[Estimated], ends[Planned], ends.get(Modelled)
     metrics = run_files.estimate_metrics(estimated.estimate)
     if planned.learned is not None:
         metrics |= run_files.learning_metrics(planned.learned[1], config.scenario.dt_s)
+    if modelled is not None:
+        metrics |= run_files.model_metrics(modelled.names, modelled.learned)
     if config.scenario.layouts is not None:
         return metrics | campaign(config, planned.agent_in, folder)
 
     flight = MissionFlight(config, env, folder)
+    if modelled is not None:
+        agents = {**flight.baseline(estimated.estimate), config.planner.name: planned.agent_in(env)}
+        return metrics | flight.report(flight.fly(agents), estimated, board)
     if planned.learned is None:
         return metrics | flight.report(flight.fly({config.planner.name: planned.agent_in(env)}), estimated, board)
     learning, state = planned.learned
@@ -115,10 +121,8 @@ def _doubt(event: Event) -> None:
                 warn(f"channel of vehicle {i + 1}: {sentence}")
 
 
-def _heard(
-    events: Iterator[Event], listeners: Sequence[Listener], interruption: Interruption
-) -> tuple[Estimated, Planned]:
-    """Pass all events to the listeners; returns the ends of both stages."""
+def _heard(events: Iterator[Event], listeners: Sequence[Listener], interruption: Interruption) -> dict[type, Any]:
+    """Pass all events to the listeners; returns the last one of each type."""
     ends: dict[type, Any] = {}
 
     def hear(event: Event) -> None:
@@ -131,7 +135,7 @@ def _heard(
     with interruption.postponed():
         for event in events:
             hear(event)
-    return ends[Estimated], ends[Planned]
+    return ends
 
 
 def evaluate(config: Config, experiment: str, folder: Path, path: Path) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from typing import Any
 
 from torch import Tensor
 
+from uwirl.motion.identified_planner import Learned
 from uwirl.motion.learning import IterationRecord, LearningState
 from uwirl.snr.diagnostics import Diagnostics
 from uwirl.snr.estimate import NAMES, ChannelEstimate
@@ -59,6 +60,18 @@ def learning_metrics(state: LearningState, dt: float) -> dict[str, Any]:
         "learning_collisions": state.contacts,
         "policy_iterations": state.learner.iteration,
     }
+
+
+def model_metrics(names: Sequence[str], learned: Learned) -> dict[str, Any]:
+    """Entries of metrics.json about a model learned in flight: its parameters and their standard errors."""
+    metrics: dict[str, Any] = {
+        "learning_vehicle_seconds": learned.seconds,
+        "learning_collisions": learned.contacts,
+    }
+    if learned.identified is not None:
+        for name, value, std in zip(names, *(part.tolist() for part in learned.identified), strict=True):
+            metrics |= {f"model_{name}": value, f"model_{name}_std": std}
+    return metrics
 
 
 def write_trajectory(folder: Path, evaluation: Evaluation, messages: LinksAtMessages) -> None:

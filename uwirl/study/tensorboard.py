@@ -15,6 +15,7 @@ from torch.utils.tensorboard.summary import hparams
 
 from uwirl.config.schema import Config
 from uwirl.motion.features import AXES, MotionBasis
+from uwirl.motion.identified_planner import Learned
 from uwirl.motion.learning import IterationRecord
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.colours import colours_of
@@ -86,6 +87,14 @@ class TensorBoard:
             self.writer.add_scalar(f"actor_{name}", value, record.iteration)
         self.writer.add_scalar("learning/weight_change", record.weight_change, record.iteration)
         self.writer.add_scalar("learning/vehicle_seconds_s", record.seconds, record.iteration)
+
+    def model(self, names: Sequence[str], learned: Learned) -> None:
+        """Parameters of a model learned in flight and their 95 % intervals, over vehicle time (step = s)."""
+        if learned.identified is None:
+            return
+        for name, value, std in zip(names, *(part.tolist() for part in learned.identified), strict=True):
+            for suffix, number in (("", value), ("_low", value - 1.96 * std), ("_high", value + 1.96 * std)):
+                self.writer.add_scalar(f"model/{name}{suffix}", number, round(learned.seconds))
 
     def cost_per_iteration(self, cost: Sequence[float | None]) -> None:
         """J of each iterate that was flown again, from the mission's start."""
