@@ -4,9 +4,11 @@ Over a window from t to t + T, the model of `uwirl.motion.vehicle_model` integra
 
     (P(nu(t + T)) - P(nu(t))) theta + int Q(nu) theta dt = int tau dt
 
-so no acceleration is needed, and noise of the velocity enters at the window's ends alone. A row's weight is the inverse
-of its axis' residual; damping and inertia that come out negative are zero. Standard errors allow for residuals that
-differ in size from row to row and that neighbouring windows share (Newey and West, Econometrica 55(3), 1987).
+so no acceleration is needed, and noise of the velocity enters at the window's ends alone. There it makes inertia appear
+smaller than it is; windows share their ends, so its variance shows in the covariance of their residuals, and least
+squares are corrected by it (T. Soderstrom, "Errors-in-variables methods in system identification", Automatica 43(6),
+2007). A row's weight is the inverse of its axis' residual; damping and inertia that come out negative are zero. Standard
+errors allow for residuals that differ in size and that windows share (Newey and West, Econometrica 55(3), 1987).
 """
 
 from __future__ import annotations
@@ -24,6 +26,8 @@ from uwirl.motion.vehicle_model import Regressor
 ROUNDS = 3
 # Windows on either side whose residuals may be alike.
 NEIGHBOURS = 2
+# Error that the integrals' rule may leave in a parameter without noise, as a share of it.
+RULE = 0.002
 
 
 class Rows(NamedTuple):
@@ -78,18 +82,25 @@ class Windows:
     stride: int
     depth: float
 
-    def rows(self, eta: Tensor, nu: Tensor, tau: Tensor) -> Rows:
+    def rows(self, eta: Tensor, nu: Tensor, tau: Tensor, theta: Tensor | None = None) -> Rows:
         """Rows of vehicles flown side by side.
 
         Args:
             eta: [n + 1, L, 4].
             nu: velocity through the water, [n + 1, L, 4].
             tau: held over each step, [n, L, 4].
+            theta: a first estimate [p], with which integrals are by Simpson's rule; by the trapezoid without.
         """
         begin = torch.arange(0, len(tau) - self.steps + 1, self.stride, device=tau.device)
         end = begin + self.steps
         momentum, force = self.regressor.momentum(nu), self.regressor.force(nu)
         mean = 0.5 * self.dt * (force[1:] + force[:-1])
+        if theta is not None:
+            # As tau is held, accelerations at the ends of a step differ by the forces' change alone.
+            axes = self.regressor.momentum(torch.eye(4, dtype=nu.dtype, device=nu.device)) @ theta
+            bend = torch.linalg.solve(axes.T, ((force[1:] - force[:-1]) @ theta)[..., None])[..., 0]
+            middle = 0.5 * (nu[1:] + nu[:-1]) + self.dt / 8.0 * bend
+            mean = mean / 3.0 + 2.0 / 3.0 * self.dt * self.regressor.force(middle)
         so_far = torch.cat([torch.zeros_like(force[:1]), mean.cumsum(0)])
         pushed = torch.cat([torch.zeros_like(tau[:1]), (self.dt * tau).cumsum(0)])
         afloat = (eta[..., 2] < 0.0) & (eta[..., 2] > -self.depth)
@@ -97,6 +108,29 @@ class Windows:
         free = aground[end + 1] == aground[begin]
         regressor = momentum[end] - momentum[begin] + so_far[end] - so_far[begin]
         return Rows(regressor[free], (pushed[end] - pushed[begin])[free])
+
+
+class Log(NamedTuple):
+    """A flight of L vehicles as `Windows.rows` takes it: eta and nu [n + 1, L, 4], tau [n, L, 4]."""
+
+    eta: Tensor
+    nu: Tensor
+    tau: Tensor
+
+
+def identify_flights(windows: Windows, logs: list[Log], scale: Tensor) -> Identified | None:
+    """Parameters of vehicles that are alike, from their flights; None while there are too few windows.
+
+    Args:
+        windows: how flights are cut.
+        logs: the flights.
+        scale: see `identify`.
+    """
+    rows = Rows.joined([windows.rows(*log) for log in logs])
+    if len(rows.regressor) <= len(windows.regressor.names):
+        return None
+    first = identify(rows, windows.regressor, scale).theta
+    return identify(Rows.joined([windows.rows(*log, first) for log in logs]), windows.regressor, scale)
 
 
 def identify(rows: Rows, regressor: Regressor, scale: Tensor) -> Identified:
@@ -116,10 +150,15 @@ def identify(rows: Rows, regressor: Regressor, scale: Tensor) -> Identified:
         raise ValueError(f"{W} windows of flight for {p} parameters: fly longer")
     weight = (1.0 / scale).to(Y)
     positive = torch.tensor(regressor.positive, device=Y.device)
+    momentum = regressor.momentum(torch.eye(4, dtype=Y.dtype, device=Y.device))  # [4 velocities, 4, p]
+    variance = Y.new_zeros(4)
     for _ in range(ROUNDS):
+        heavy = momentum * weight[:, None]
+        noise = 2.0 * torch.einsum("j,jap,jaq->pq", variance, heavy, heavy)
         free = torch.ones(p, dtype=torch.bool, device=Y.device)
         while True:
             theta, P = _solved(Y * weight[:, None] * free, b * weight)
+            theta, P = _without_noise(theta, P, W * noise * free[:, None] * free)
             theta = torch.where(free, theta, 0.0)
             negative = positive & free & (theta < 0.0)
             if not bool(negative.any()):
@@ -127,6 +166,9 @@ def identify(rows: Rows, regressor: Regressor, scale: Tensor) -> Identified:
             free &= ~negative
         residual = (Y @ theta) - b
         used, given = weight, residual
+        shared = -(residual[1:] * residual[:-1]).mean(0)
+        inertia = torch.diagonal(momentum @ theta)
+        variance = (shared / inertia.square().clamp_min(1e-12)).clamp_min(0.0)
         weight = 1.0 / residual.square().mean(0).sqrt().clamp_min(1e-9 * scale.to(Y))
     score = torch.einsum("wap,wa->wp", Y * used[:, None], given * used)
     spread = score.T @ score
@@ -134,8 +176,8 @@ def identify(rows: Rows, regressor: Regressor, scale: Tensor) -> Identified:
         both = score[lag:].T @ score[:-lag]
         spread = spread + (1.0 - lag / (NEIGHBOURS + 1.0)) * (both + both.T)
     covariance = P @ spread @ P
-    std = covariance.diagonal().clamp_min(0.0).sqrt() * (W / max(1, W - p / 4.0)) ** 0.5
-    return Identified(theta, torch.where(free, std, 0.0))
+    std = covariance.diagonal().clamp_min(0.0).sqrt() * (W / (W - p / 4.0)) ** 0.5
+    return Identified(theta, torch.where(free, std + RULE * theta.abs(), 0.0))
 
 
 def _solved(Y: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
@@ -148,3 +190,12 @@ def _solved(Y: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     for row, value in zip((A / size)[:, None], c[:, None], strict=True):
         state = rls.update(state, row, value)
     return state.weight[0] / size, state.P[0] / size[:, None] / size
+
+
+def _without_noise(theta: Tensor, P: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+    """Least squares whose rows' squares hold so much noise [p, p] too much."""
+    size = torch.diagonal(P).sqrt()
+    information = torch.linalg.inv(P / size[:, None] / size)
+    less = information - noise * size[:, None] * size
+    right = information @ (theta / size)
+    return torch.linalg.solve(less, right) * size, torch.linalg.inv(less) * size[:, None] * size

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import torch
@@ -15,7 +15,7 @@ from uwirl.motion.cost import CostWeights
 from uwirl.motion.experience import Exploration, contacts_while
 from uwirl.motion.features import LinkFrameBasis
 from uwirl.motion.guidance import Geodesic, GeodesicAgent
-from uwirl.motion.identification import Identified, Rows, Windows, identify
+from uwirl.motion.identification import Identified, Log, Windows, identify_flights
 from uwirl.motion.linear_agent import LinearAgent, LinkController, LinkView
 from uwirl.motion.mission import Mission
 from uwirl.motion.planned_agent import PlannedAgent, PlanSettings
@@ -80,7 +80,7 @@ class IdentifiedPlanner:
     node_s: float
     replan_s: float
     refine: int
-    regressor: Regressor = Fossen()
+    regressor: Regressor = field(default_factory=Fossen)
 
     def learn(self, env: Relay, estimate: ChannelEstimate) -> Iterator[Learned]:
         """Hover, then fly to virtual links with excitation; yields what is known after each leg.
@@ -96,13 +96,11 @@ class IdentifiedPlanner:
         dt, vehicles = env.scenario.dt, env.worlds * env.scenario.vehicles
         steps = round(self.window_s / dt)
         windows = Windows(self.regressor, dt, steps, steps, env.scenario.depth)
-        rows, world, leg = [_rows(windows, hover)], hover.end.detached(), 0
+        logs, world, leg = [_log(hover)], hover.end.detached(), 0
         hit, seconds = contacts_while(env, hover), float(hover.time[-1])
         poses = self.experience.poses(env.scenario, bool(env.scenario.obstacles.number))
         while True:
-            all_of = Rows.joined(rows)
-            enough = len(all_of.regressor) > len(self.regressor.names)
-            known = identify(all_of, self.regressor, env.vehicle.tau_max) if enough else None
+            known = identify_flights(windows, logs, env.vehicle.tau_max)
             yield Learned(known, trim, seconds * vehicles, hit)
             if seconds >= self.max_time_s:
                 break
@@ -112,7 +110,7 @@ class IdentifiedPlanner:
             wave = wave.to(trim).view(legs, *world.vehicles.eta.shape)
             agent = LinearAgent(view, actor, trim, wave.to(world.vehicles.eta), int(world.step[0]))
             flown = env.rollout(Guarded(agent, self.guard), world, legs)
-            rows.append(_rows(windows, flown))
+            logs.append(_log(flown))
             hit, seconds = hit + contacts_while(env, flown), seconds + self.experience.leg_s
             world, leg = flown.end.detached(), leg + 1
         self._check(known)
@@ -153,7 +151,6 @@ class IdentifiedPlanner:
         return self.agent(env, estimate, learned)
 
 
-def _rows(windows: Windows, flown: Trajectory) -> Rows:
-    """Rows of all vehicles of a flight, which are alike."""
-    eta, nu, tau = (x.double().flatten(1, 2) for x in (flown.states.eta, flown.states.nu, flown.tau))
-    return windows.rows(eta, nu, tau)
+def _log(flown: Trajectory) -> Log:
+    """All vehicles of a flight, which are alike."""
+    return Log(*(x.double().flatten(1, 2) for x in (flown.states.eta, flown.states.nu, flown.tau)))

@@ -20,9 +20,10 @@ from uwirl.world.observation import Observation
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.scenario import Scenario
 
-# Iterations on all guesses and on the best of them, on nodes twice as far apart; on the best one; how many are the best.
+# Iterations on all guesses and on the best of them, with nodes twice as far apart, and on the best one; how many the
+# best are.
 FIRST, MIDDLE, LAST, KEPT = 8, 8, 10, 2
-# A plan whose dynamics are violated by more, or that comes closer to an obstacle than this, is not flown; s.u., m.
+# A plan whose dynamics are violated by more, or that comes closer to an obstacle than this, is not flown; SI units, m.
 MOST_DEFECT, LEAST_GAP = 0.1, -0.05
 # A vehicle farther from its plan than this begins a new one, m.
 LOST = 0.5

@@ -2,8 +2,8 @@
 
     d/dt (P(nu) theta) + Q(nu) theta = tau
 
-P theta is the momentum M nu, Q theta all other forces: Coriolis, damping, and the trim Q(0) theta. Which forces there may
-be is a `Regressor`'s to say; which of them this vehicle has, theta's.
+P theta is the momentum M nu, Q theta all other forces: Coriolis, damping, and the trim Q(0) theta. A `Regressor` says
+which forces there may be, theta which of them a vehicle has.
 """
 
 from __future__ import annotations
@@ -19,9 +19,15 @@ from torch import Tensor
 class Regressor(Protocol):
     """The structure of a model: what its parameters multiply."""
 
-    names: tuple[str, ...]
-    # Whether each parameter can only be positive or zero, as inertia and damping are.
-    positive: tuple[bool, ...]
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the p parameters."""
+        ...
+
+    @property
+    def positive(self) -> tuple[bool, ...]:
+        """Whether each parameter can only be positive or zero, as inertia and damping are."""
+        ...
 
     def momentum(self, nu: Tensor) -> Tensor:
         """P, [..., 4, p], linear in nu [..., 4]."""
@@ -33,7 +39,7 @@ class Regressor(Protocol):
 
 
 class Fossen:
-    """The model (1): M and C of a diagonal inertia, linear and quadratic damping, net weight in heave; 13 parameters."""
+    """The model (1): diagonal inertia with its C, linear and quadratic damping, net weight in heave; 13 parameters."""
 
     names = (
         *("m_u", "m_v", "m_w", "I_z"),
