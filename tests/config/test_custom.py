@@ -93,7 +93,7 @@ REFUSED = [
     (f"{PLANNER}Whole +planner.settings.gian=2", "planner.settings.gian", "did you mean 'planner.settings.gain'?"),
     (f"{PLANNER}Whole +planner.settings.x=2", "planner.settings.x", "mine.Whole takes gain"),
     (f"{PLANNER}Whole planner.settings.gain=2", "planner.settings.gain", "add it with a +"),
-    (f"{PLANNER}Whole planner.calibration_s=2", "planner.calibration_s", "only with planner=irl or planner=pd"),
+    (f"{PLANNER}Whole planner.calibration_s=2", "planner.calibration_s", "only with planner=identified or planner=irl"),
     ("planner.target=mine.Whole", "planner.target", "only with planner=custom"),
     ("baseline.target=mine.Whole", "baseline.target", "only with planner@baseline=custom"),
     ("solver.target=mine.Whole", "solver.target", "is a class of yours, which stands in channel, vehicle, estimator,"),

@@ -182,7 +182,7 @@ RULES = [
     ("planner.tolerance_weights=-1", "planner.tolerance_weights", "must be at least 0"),
     ("planner.tolerance_inverse_capacity=-1", "planner.tolerance_inverse_capacity", "must be at least 0"),
     (f"{HOVER_AND_LEG}=19.9", "planner.max_time_s", "19.9 s is shorter than the calibration hover and one leg"),
-    ("baseline.name=dp", "baseline.name", "'dp' is none of irl, pd"),
+    ("baseline.name=dp", "baseline.name", "'dp' is none of irl, identified, pd"),
     ("baseline.saturation_m=-4", "baseline.saturation_m", "must be greater than 0"),
     ("planner@baseline=irl baseline.updates=0", "baseline.updates", "must be at least 1"),
     # the rest

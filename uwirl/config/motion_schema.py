@@ -205,9 +205,8 @@ class ParallelConfig(ExperienceConfig, names=(ExperienceName.parallel,), file="p
 
 @dataclass
 class PlannerConfig(MadeConfig, family="planner"):
-    name: str = (
-        MISSING  # irl | identified | pd | potential_field | trajectory_optimization; any with a class of your own
-    )
+    # irl | identified | pd | potential_field | trajectory_optimization; any with a class of your own
+    name: str = MISSING
 
 
 @dataclass

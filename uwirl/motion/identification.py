@@ -7,7 +7,7 @@ Over a window from t to t + T, the model of `uwirl.motion.vehicle_model` integra
 so no acceleration is needed, and noise of the velocity enters at the window's ends alone. There it makes inertia appear
 smaller than it is; windows share their ends, so its variance shows in the covariance of their residuals, and least
 squares are corrected by it (T. Soderstrom, "Errors-in-variables methods in system identification", Automatica 43(6),
-2007). A row's weight is the inverse of its axis' residual; damping and inertia that come out negative are zero. Standard
+2007). Rows weigh the inverse of their axis' residual; damping and inertia that come out negative are zero. Standard
 errors allow for residuals that differ in size and that windows share (Newey and West, Econometrica 55(3), 1987).
 """
 
