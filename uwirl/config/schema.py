@@ -15,6 +15,7 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
+from uwirl.config import vehicle_bounds
 from uwirl.config.checks import MadeConfig, Section, at_least, ruled, unlike, valid_seed
 from uwirl.config.motion_schema import (
     BasisConfig,
@@ -127,6 +128,7 @@ def register() -> None:
 
     A file of a group names its schema in its defaults list where it has keys that `Config` does not give the group.
     """
+    vehicle_bounds.register()
     store = ConfigStore.instance()
     store.store(name="schema", node=Config)
     store.store(group="hydra/sweeper", name="search_schema", node=SearchConfig)
