@@ -203,13 +203,21 @@ RULES = [
     ("safety.alpha=0", "safety.alpha", "must be greater than 0"),
     # bounds that do not cover the vehicle, and the advice that is printed
     (
-        "vehicle.mass_kg=120",
+        "vehicle.mass_kg=120 safety.mass_upper_kg=30",
         "safety.mass_upper_kg",
         "less than the vehicle's 132.7 kg in sway, added mass included, so",
     ),
     ("vehicle.mass_kg=20 safety.mass_upper_kg=32", "safety.mass_upper_kg", "set safety.mass_upper_kg=36"),
-    ("vehicle.mass_kg=1", "safety.mass_lower_kg", "more than the vehicle's 6.5 kg in surge, added mass included, so"),
-    ("vehicle=bluerov2_heavy experiment=fig6_pair", "safety.mass_upper_kg", "32.18 kg in heave"),
+    (
+        "vehicle.mass_kg=1 safety.mass_lower_kg=12",
+        "safety.mass_lower_kg",
+        "more than the vehicle's 6.5 kg in surge, added mass included, so",
+    ),
+    (
+        "vehicle=bluerov2_heavy experiment=fig6_pair safety.mass_upper_kg=30",
+        "safety.mass_upper_kg",
+        "32.18 kg in heave",
+    ),
     ("experiment=fig6_pair safety.separation_m=0.5", "safety.separation_m", "less than two scenario.vehicle_radius_m"),
     ("safety.alpha=21", "safety.alpha", "must be at most 1 / scenario.dt_s = 20"),
     ("safety=barrier safety.k_0=1.1", "safety.k_0", "must be at most safety.k_1^2 / 4 = 1"),
@@ -262,6 +270,11 @@ ALLOWED = [
     "vehicle.mass_kg=120 safety.mass_upper_kg=146",
     "vehicle.mass_kg=1 safety.mass_lower_kg=5.9",
     "vehicle=bluerov2_heavy experiment=fig6_pair safety.mass_upper_kg=36",
+    # The guard's bounds follow the vehicle.
+    "vehicle.mass_kg=120 vehicle.weight_N=1177 vehicle.buoyancy_N=1179",
+    "vehicle.mass_kg=1",
+    "vehicle=bluerov2_heavy experiment=fig6_pair",
+    "vehicle.tau_max=[85,40,120,26]",
     # Nothing to guard against.
     "experiment=fig5_free vehicle.mass_kg=120",
     # Only a learner needs experience.

@@ -64,7 +64,7 @@ def drawn(seed: int, key: str, axis: int = 0) -> float:
         most = min(most, 2.5 * inertia / (2.0 * math.sqrt(BLUEROV2["quadratic_damping"][3] * slower * YAW_MOMENT)))
         return next(dt for dt in (0.05, 0.025, 0.0125, 0.00625) if dt < most)
     if key == "buoyancy_N":
-        return round(BLUEROV2["weight_N"][0] * heavier + NET_N, 3)
+        return round(BLUEROV2["weight_N"][0] * heavier, 4) + NET_N
     return round(BLUEROV2[key][axis] * (slower if key.endswith("damping") else heavier), 4)
 
 
