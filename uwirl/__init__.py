@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from uwirl.baselines.pd import PdPlanner
     from uwirl.motion.cost import CostWeights
     from uwirl.motion.guidance import Geodesic
+    from uwirl.motion.identified_planner import IdentifiedPlanner
     from uwirl.motion.irl_planner import IrlPlanner
     from uwirl.motion.mission import Mission
     from uwirl.motion.safety import EnergyGuard, Limits
@@ -42,6 +43,7 @@ _HOMES = {
     "baselines.pd": ["PdPlanner"],
     "motion.cost": ["CostWeights"],
     "motion.guidance": ["Geodesic"],
+    "motion.identified_planner": ["IdentifiedPlanner"],
     "motion.irl_planner": ["IrlPlanner"],
     "motion.mission": ["Mission"],
     "motion.safety": ["EnergyGuard", "Limits"],
@@ -74,6 +76,7 @@ __all__ = [
     "Feedback",
     "Geodesic",
     "Guarded",
+    "IdentifiedPlanner",
     "IrlPlanner",
     "Kriging",
     "Limits",

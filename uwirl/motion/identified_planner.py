@@ -12,7 +12,7 @@ from torch import Tensor
 from uwirl.irl.networks import LinearActor
 from uwirl.motion.calibration import calibration_hover
 from uwirl.motion.cost import CostWeights
-from uwirl.motion.experience import Exploration, contacts_while
+from uwirl.motion.experience import Exploration, VirtualLinks, contacts_while
 from uwirl.motion.features import LinkFrameBasis
 from uwirl.motion.guidance import Geodesic, GeodesicAgent
 from uwirl.motion.identification import Identified, Log, Windows, identify_flights
@@ -21,7 +21,7 @@ from uwirl.motion.mission import Mission
 from uwirl.motion.planned_agent import PlannedAgent, PlanSettings
 from uwirl.motion.route import Router
 from uwirl.motion.route_tracker import RouteTracker
-from uwirl.motion.safety import EnergyGuard
+from uwirl.motion.safety import EnergyGuard, Limits
 from uwirl.motion.vehicle_model import Fossen, Regressor, VehicleModel
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.world.agent import Agent, Guard, Guarded
@@ -58,7 +58,7 @@ class IdentifiedPlanner:
 
     Attributes:
         cost: weights of the running cost.
-        guard: guard between agent and thrusters while learning.
+        guard: guard between agent and thrusters while learning; the default one if None.
         guidance: the map's settings, and the law that flies where there is no good plan.
         experience: excitation and virtual links of the learning flight.
         calibration_s: duration of the hover that finds the trim, s.
@@ -69,17 +69,17 @@ class IdentifiedPlanner:
         regressor: structure of the model.
     """
 
-    cost: CostWeights
-    guard: Guard
-    guidance: Geodesic
-    experience: Exploration
-    calibration_s: float
-    max_time_s: float
-    window_s: float
-    most_doubt: float
-    node_s: float
-    replan_s: float
-    refine: int
+    cost: CostWeights = field(default_factory=CostWeights)
+    guard: Guard | None = None
+    guidance: Geodesic = field(default_factory=Geodesic)
+    experience: Exploration = field(default_factory=VirtualLinks)
+    calibration_s: float = 14.0
+    max_time_s: float = 64.0
+    window_s: float = 1.0
+    most_doubt: float = 0.1
+    node_s: float = 0.1
+    replan_s: float = 2.0
+    refine: int = 2
     regressor: Regressor = field(default_factory=Fossen)
 
     def learn(self, env: Relay, estimate: ChannelEstimate) -> Iterator[Learned]:
@@ -88,10 +88,10 @@ class IdentifiedPlanner:
         Raises:
             UnidentifiedError: the inertia remains in doubt at the end.
         """
-        mission = Mission(env, estimate.channel, self.cost)
+        mission, guard = Mission(env, estimate.channel, self.cost), self._guard(env)
         basis = LinkFrameBasis(mission.cost, list(SCALES))
         actor = LinearActor(basis, basis.start_weights()[None])
-        hover, trim = calibration_hover(env, actor, mission.cost, self.calibration_s, self.guard)
+        hover, trim = calibration_hover(env, actor, mission.cost, self.calibration_s, guard)
         trim = trim.mean(0)
         dt, vehicles = env.scenario.dt, env.worlds * env.scenario.vehicles
         steps = round(self.window_s / dt)
@@ -109,11 +109,14 @@ class IdentifiedPlanner:
             wave = self.experience.excitation.draw(env.streams, env.scenario.vehicles, leg, legs, dt)
             wave = wave.to(trim).view(legs, *world.vehicles.eta.shape)
             agent = LinearAgent(view, actor, trim, wave.to(world.vehicles.eta), int(world.step[0]))
-            flown = env.rollout(Guarded(agent, self.guard), world, legs)
+            flown = env.rollout(Guarded(agent, guard), world, legs)
             logs.append(_log(flown))
             hit, seconds = hit + contacts_while(env, flown), seconds + self.experience.leg_s
             world, leg = flown.end.detached(), leg + 1
         self._check(known)
+
+    def _guard(self, env: Relay) -> Guard:
+        return self.guard or EnergyGuard(Limits.of(env))
 
     def _check(self, known: Identified | None) -> None:
         if known is None:
@@ -137,9 +140,10 @@ class IdentifiedPlanner:
         tracker = RouteTracker(env.scenario, router)
         reactive = GeodesicAgent(near, tracker, mission.cost, guidance, env.scenario.dt)
         settings = PlanSettings(self.node_s, self.replan_s, self.refine, guidance.margin_m)
-        if isinstance(self.guard, EnergyGuard):
-            braking = self.guard.mass_upper_kg / (2.0 * self.guard.brake_force_N)
-            settings = replace(settings, braking=braking, separation_m=self.guard.separation_m)
+        guard = self._guard(env)
+        if isinstance(guard, EnergyGuard):
+            braking = guard.mass_upper_kg / (2.0 * guard.brake_force_N)
+            settings = replace(settings, braking=braking, separation_m=guard.separation_m)
         theta = learned.identified.theta.to(device)[None]
         model = VehicleModel(self.regressor, theta, theta.new_zeros(1, 2))
         return PlannedAgent(model, reactive, env.vehicle.tau_max, env.scenario, settings)
