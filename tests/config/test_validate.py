@@ -189,7 +189,7 @@ RULES = [
     ("scenario.dt_s=1e-310", "scenario.duration_s", "more than 1,000,000 steps"),
     ("seed=-1", "seed", "must lie in [0, 2^63)"),
     ("device=gpu", "device", "'gpu' is none of cpu, cuda, cuda:N, mps"),
-    (f"{CYLINDER.format('[29.5,28.5]', 1)}", "scenario.obstacles.0", "to the start of vehicle 0"),
+    (f"{CYLINDER.format('[29.5,28.5]', 1)}", "scenario.obstacles.0", "to the start of vehicle 1"),
     (f"{CYLINDER.format('[1,0]', 1)}", "scenario.obstacles.0", "to the target"),
     (f"{CYLINDER.format('[9,9]', 0)}", "scenario.obstacles.0.radius_m", "must be greater than 0"),
     (f"{CYLINDER.format('[9,9]', 7)}", "scenario.obstacles.0.influence_m", "must exceed radius_m = 7"),

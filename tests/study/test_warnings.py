@@ -105,14 +105,14 @@ def test_saturated_thrusters():
     ],
 )
 def test_learning_that_ended_badly(costs, start, end, said):
-    last = SimpleNamespace(converged=True)
+    last = [SimpleNamespace(converged=True)]
     sentences = list(learning_warnings(last, costs, start, end))
     assert len(sentences) == len(said)
     assert all(part in sentence for part, sentence in zip(said, sentences, strict=True))
 
 
 def test_learning_that_did_not_converge():
-    last = SimpleNamespace(converged=False, seconds=600.0, weight_change=0.25)
+    last = [SimpleNamespace(converged=False, seconds=600.0, weight_change=change) for change in (0.25, 0.01)]
     (sentence,) = learning_warnings(last, [3.3, 3.2], 3.3, 3.2)
     assert sentence.startswith("learning did not converge within 600 s of flight: weights still change by 2.5e-01")
 

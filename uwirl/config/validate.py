@@ -196,11 +196,11 @@ def _obstacles(config: Config) -> Problems:
     """Neither on a start nor on a target, with the guard's margin."""
     scenario = config.scenario
     margin = config.safety.margin_m if isinstance(config.safety, GuardConfig) else 0.0
-    occupied = {f"the start of vehicle {i}": eta for i, eta in enumerate(scenario.start)}
+    occupied = {f"the start of vehicle {i}": eta for i, eta in enumerate(scenario.start, 1)}
     hops = len(scenario.start) + 1
     for i in range(1, hops):
         ends = zip(scenario.source_m, scenario.destination_m, strict=True)
-        occupied[f"the target of vehicle {i - 1}"] = [a + i / hops * (b - a) for a, b in ends]
+        occupied[f"the target of vehicle {i}"] = [a + i / hops * (b - a) for a, b in ends]
     for i, obstacle in enumerate(scenario.obstacles):
         for name, position in occupied.items():
             gap = math.dist(position[:2], obstacle.center_m) - obstacle.radius_m - scenario.vehicle_radius_m

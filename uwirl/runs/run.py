@@ -93,18 +93,16 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
         return metrics | campaign(config, planned.agent_in, folder)
 
     flight = MissionFlight(config, env, folder)
-    if modelled is not None:
+    if planned.learned is None:
         agents = {**flight.baseline(estimated.estimate), config.planner.name: planned.agent_in(env)}
         return metrics | flight.report(flight.fly(agents), estimated, board)
-    if planned.learned is None:
-        return metrics | flight.report(flight.fly({config.planner.name: planned.agent_in(env)}), estimated, board)
     learning, state = planned.learned
     flown, costs = flight.fly_learned(learning, state, records, estimated.estimate)
     start = float(flown["start policy"].cost[0])
     converged = records[-1].converged and flight.settled(flown[config.planner.name])
     course = Course(records, costs, learning.basis, converged)
     metrics |= flight.report(flown, estimated, board, course) | {"converged": converged}
-    for sentence in learning_warnings(records[-1], costs, start, metrics["cost_total"]):
+    for sentence in learning_warnings(records, costs, start, metrics["cost_total"]):
         warn(sentence)
     metrics |= {"cost_total_start_policy": start, "cost_per_iteration": costs}
     checkpoints.best(learning, state, costs)

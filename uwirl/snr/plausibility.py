@@ -37,6 +37,8 @@ MOST_FADING_DB = 15.0
 # Degrees: a site within one of them, which is farther from the origin than this many times its size.
 FAR = 100.0
 DEGREE_M = 111_195.0
+# No survey with so many places of vehicles and of sensors lies within this, m.
+TINY_M, SEVERAL = 0.05, 3
 # Positions read in another way are better if readings scatter half as much around their line of path loss, and if that
 # is this much more likely (natural logarithm); each different distance counts once.
 HALF, CERTAIN = 0.5, math.log(1e4)
@@ -100,8 +102,10 @@ def check_units(readings: Readings, budget: LinkBudget) -> None:
         return
     if float(torch.linalg.vector_norm(0.5 * (low + high))) < FAR * size:
         return
-    # A vertical cast has such positions too, but then the depths explain its readings.
-    if float(links.length.max()) > SHORTEST_M and float(links.length.max() / links.length.min()) > 1.01:
+    # A vertical cast has such positions too, but then the depths explain its readings, and there is one sensor.
+    ends = (len(end[:, :2].unique(dim=0)) for end in (links.first, links.second))
+    survey = size < TINY_M and min(ends) >= SEVERAL
+    if not survey and float(links.length.max()) > SHORTEST_M and float(links.length.max() / links.length.min()) > 1.01:
         # The circles of latitude are shorter, along x or y.
         shorter = [DEGREE_M * abs(math.cos(math.radians(float(x)))) for x in places[0]]
         units = _metres(shorter[1], DEGREE_M), _metres(DEGREE_M, shorter[0])
@@ -225,6 +229,7 @@ def _slope(links: _Links, estimate: ChannelEstimate) -> Iterator[str]:
     if not bool(estimate.identifiable[0, 1]):
         return
     low, high = intervals(estimate, len(links.snr), COVERAGE)[0, 1].tolist()
+    ordinary = float(intervals(estimate, len(links.snr))[0, 1, 1])
     found = f"n = {float(estimate.value[0, 1]):.3g} (99.9 %: {low:.3g} .. {high:.3g})"
     if high < 0.0:
         absorbed = float(links.length.max()) * estimate.budget.absorption_dB_per_km / 1000.0
@@ -232,7 +237,7 @@ def _slope(links: _Links, estimate: ChannelEstimate) -> Iterator[str]:
             f"{found}: the SNR grows with distance; is snr_dB a loss, are columns of positions exchanged, or is the "
             f"absorption of channel.frequency_khz too much ({absorbed:.3g} dB over the longest link)?"
         )
-    elif high < LEAST_N:
+    elif high < LEAST_N or (float(estimate.value[0, 1]) < LEAST_N and ordinary < 1.0):
         yield f"{found}: the SNR hardly falls with distance; check snr_dB, and the positions' units and columns"
     elif low > MOST_N:
         yield f"{found}: the SNR falls faster than at sea; check units and signs of positions, and channel.absorption"

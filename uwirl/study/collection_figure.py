@@ -82,11 +82,10 @@ def curves_figure(groups: Mapping[str, Sequence[Job]]) -> Figure:
     named = len(groups) <= MOST_NAMED
     figure = style.new(style.PAGE if named and len(groups) > 1 else style.COLUMN, 2.8)
     axes = figure.subplots()
-    last = max(job.learned[-1][0] for group in groups.values() for job in group if job.learned)
     for (label, group), colour in zip(groups.items(), colours_of(len(groups)), strict=True):
         curves = [np.array(job.learned).T for job in group if job.learned]
         if curves:
-            times = np.unique(np.concatenate([[last], *(seconds for seconds, _ in curves)]))
+            times = np.unique(np.concatenate([seconds for seconds, _ in curves]))
             known = np.stack([held_values(times, *curve) for curve in curves], -1)
             draw_band(axes, times, known, colour, f"{label} ({len(curves)})")
     axes.set(xlabel="vehicle time (s)", ylabel="$J$ of the mission", title="median and range over runs")

@@ -74,7 +74,10 @@ def diagnostic_metrics(diagnostics: Diagnostics, line: Tensor, names: tuple[str,
     reading, sensor = diagnostics.reading, diagnostics.sensor
     worst, farthest = reading.worst or 0, sensor.worst
     accused = diagnostics.accused(FALSE_ALARM)
+    largest = int(diagnostics.standardized.abs().nan_to_num(0.0).argmax())
     return {
+        "residual_largest": float(diagnostics.standardized[largest]),
+        "residual_largest_line": int(line[largest]),
         "residual_rms": diagnostics.rms,
         "residual_beyond_3": diagnostics.beyond_3,
         "residual_worst": float(reading.standardized[worst]),
@@ -107,8 +110,8 @@ def diagnosis(metrics: dict[str, Any], readings: int) -> Iterator[str]:
     )
     yield (
         f"in standard deviations: {metrics['residual_rms']:.3g} rms (1 if the model holds), "
-        f"{100.0 * metrics['residual_beyond_3']:.3g} % beyond 3 (0.27), worst {metrics['residual_worst']:+.2f} on line "
-        f"{metrics['residual_worst_line']}{moments}"
+        f"{100.0 * metrics['residual_beyond_3']:.3g} % beyond 3 (0.27), largest "
+        f"{metrics['residual_largest']:+.2f} on line {metrics['residual_largest_line']}{moments}"
     )
     if metrics["sensor_worst"] is not None:
         yield (

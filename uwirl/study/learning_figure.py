@@ -36,12 +36,13 @@ def learning_figure(
     grid = figure.subplots(3, 2)
     cost, *panels = grid.flatten().tolist()
     _draw_costs(cost, seconds, costs, others)
-    _draw_weights(panels[0], seconds, critic, basis.critic_names, "critic")
+    whose = " of vehicle 1" if len(records[0].critic) > 1 else ""
+    _draw_weights(panels[0], seconds, critic, basis.critic_names, f"critic{whose}")
     ends = np.cumsum([len(names) for names in basis.actor_names])
     for axes, axis, names, values in zip(
         panels[1:], AXES, basis.actor_names, np.split(actor, ends[:-1], axis=1), strict=True
     ):
-        _draw_weights(axes, seconds, values, names, f"actor, {axis}")
+        _draw_weights(axes, seconds, values, names, f"actor{whose}, {axis}")
     style.letter([cost, *panels])
     return figure
 

@@ -45,7 +45,7 @@ def mission_figure(scenario: Scenario, evaluation: Evaluation, messages: LinksAt
     plan, capacity = figure.add_subplot(grid[0, 2]), figure.add_subplot(grid[1, :])
     _draw_space(space, scenario, eta)
     draw_plan(plan, scenario, eta, arrows=max(2, ARROWS // eta.shape[1]))
-    plan.set_title("path from above, with heading")
+    plan.set_title("from above, from $\\circ$ to $\\bullet$, with heading")
     _draw_capacities(capacity, evaluation, messages)
     style.letter([space, plan, capacity])
     return figure
@@ -75,9 +75,9 @@ def motion_figure(evaluation: Evaluation, tau_max: Tensor) -> Figure:
         # Axes follow the control, and show limits that it comes close to.
         axes.set_ylim(*axes.get_ylim())
         for sign in (-1.0, 1.0):
-            axes.axhline(sign * limit, color="0.4", ls=":", label="thruster limit" if sign > 0 else None)
+            axes.axhline(sign * limit, color="0.4", ls=":")
     panels[0, 0].set_title("pose")
-    panels[0, 1].set_title("control")
+    panels[0, 1].set_title("control (dotted: thruster limits)")
     for axes in panels[-1]:
         axes.set_xlabel("$t$ (s)")
     style.letter(list(panels[0]))
@@ -132,14 +132,12 @@ def _draw_space(axes: Axes, scenario: Scenario, eta: NDArray) -> None:
 def _draw_capacities(axes: Axes, evaluation: Evaluation, messages: LinksAtMessages) -> None:
     time = evaluation.trajectory.time.numpy(force=True)
     links = evaluation.link_capacity[:, 0].numpy(force=True)
-    # Next to a node, capacity has no bound.
-    shown = np.clip(links, None, 3.0 * evaluation.optimal_capacity)
     last = links.shape[1] - 1
     for j in range(last + 1):
         ends = "source" if j == 0 else f"{j}", "destination" if j == last else f"{j + 1}"
         few = last < MOST_LINKS
         label = f"{ends[0]} to {ends[1]}" if few else None if j else "links"
-        axes.plot(time, shown[:, j], LINK_STYLES[j if few else 0], color="0.5", lw=0.8, label=label)
+        axes.plot(time, links[:, j], LINK_STYLES[j if few else 0], color="0.5", lw=0.8, label=label)
     axes.plot(time, evaluation.chain_capacity[:, 0].numpy(force=True), "k", lw=1.4, label="chain")
     shadowed = messages.link_capacity.amin(-1).numpy(force=True)
     axes.plot(messages.time.numpy(force=True), shadowed, ".", color=ORANGE, ms=2.5, label="chain with shadowing")
@@ -148,5 +146,7 @@ def _draw_capacities(axes: Axes, evaluation: Evaluation, messages: LinksAtMessag
     if t99 is not None:
         axes.axvline(t99, color=GREEN, lw=0.7, label=f"reached after {t99:.1f} s")
     axes.set(xlabel="$t$ (s)", ylabel="capacity (kbit/s)", title="mean capacity of the links", xlim=(0.0, time[-1]))
+    # Next to a node, capacity has no bound.
+    axes.set_ylim(top=min(axes.get_ylim()[1], 3.5 * evaluation.optimal_capacity))
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     axes.grid()

@@ -100,19 +100,23 @@ def _collisions(scenario: Scenario, evaluation: Evaluation) -> Iterator[str]:
             yield f"vehicles {i + 1} and {j + 1} collided: {depth:.2f} m deep at {float(time[nearest]):.2f} s"
 
 
-def learning_warnings(last: IterationRecord, costs: Sequence[float | None], start: float, end: float) -> Iterator[str]:
+def learning_warnings(
+    records: Sequence[IterationRecord], costs: Sequence[float | None], start: float, end: float
+) -> Iterator[str]:
     """Where learning ended badly.
 
     Args:
-        last: the last policy iteration.
+        records: the policy iterations.
         costs: J of the iterates, None for those that were not flown again, as in `cost_per_iteration`.
         start: J of the start policy.
         end: J of the policy that was learned.
     """
+    last = records[-1]
     if not last.converged:
+        change = max(record.weight_change for record in records if record.seconds == last.seconds)
         yield (
             f"learning did not converge within {last.seconds:g} s of flight: weights still change by "
-            f"{last.weight_change:.1e} (planner.max_time_s, planner.tolerance_weights)"
+            f"{change:.1e} (planner.max_time_s, planner.tolerance_weights)"
         )
     if not end <= (1.0 + WORSE_THAN_START) * start:
         yield f"learning ended worse than the start policy: J {end:.3f} instead of {start:.3f}"
