@@ -17,6 +17,7 @@ from uwirl.motion.link_frame import LinkFrame
 from uwirl.motion.mission import Mission
 from uwirl.motion.vehicle_model import Fossen, VehicleModel
 from uwirl.snr.estimators import estimate_each_vehicle
+from uwirl.world.geometry import turned_to_body
 from uwirl.world.obstacles import Obstacles, contacts
 from uwirl.world.truth import truth_of
 from uwirl.world.vehicle import Vehicle, VehicleState
@@ -78,7 +79,9 @@ def flown(noise: float, seed: int, seconds: float = 60.0) -> Log:
 
 def found(*log: object) -> Identified:
     vehicle = Vehicle.bluerov2()
-    identified = identify_flights(Windows(Fossen(), 0.05, 20, 20, 1e3), [flown(*log)], vehicle.tau_max)
+    identified = identify_flights(
+        Windows(Fossen(), 0.05, 20, 20, 1e3), [flown(*log)], vehicle.tau_max, torch.zeros(2).double()
+    )
     assert identified is not None
     return identified
 
@@ -96,14 +99,26 @@ def test_errors_are_within_three_standard_errors():
     truth = true_theta(Vehicle.bluerov2())
     outside = 0
     for seed in range(20):
-        theta, std = found(0.01, seed)
-        outside += int(((theta - truth).abs() > 3.0 * std).sum())
+        known = found(0.01, seed)
+        outside += int(((known.theta - truth).abs() > 3.0 * known.std).sum())
     assert outside <= 6
+
+
+def test_a_current_is_found_with_the_parameters():
+    """nu is over ground; the vehicle moves through the water."""
+    current, still = torch.tensor([0.2, -0.1]).double(), flown(0.0, 1)
+    velocity = torch.nn.functional.pad(current, (0, 2)).expand_as(still.nu)
+    drifted = still._replace(nu=still.nu + turned_to_body(velocity, still.eta[..., 3]))
+    windows, scale = Windows(Fossen(), 0.05, 20, 20, 1e3), Vehicle.bluerov2().tau_max
+    known = identify_flights(windows, [drifted], scale, torch.zeros(2).double())
+    assert known is not None
+    torch.testing.assert_close(known.current, current, rtol=0.0, atol=0.005)
+    torch.testing.assert_close(known.theta[:4], true_theta(Vehicle.bluerov2())[:4], rtol=0.02, atol=0.0)
 
 
 def test_too_short_a_flight_is_refused():
     windows, log, scale = Windows(Fossen(), 0.05, 20, 20, 1e3), flown(0.0, 0, 5.0), Vehicle.bluerov2().tau_max
-    assert identify_flights(windows, [log], scale) is None
+    assert identify_flights(windows, [log], scale, torch.zeros(2).double()) is None
     with pytest.raises(ValueError, match="5 windows of flight for 13 parameters"):
         identify(windows.rows(*log), Fossen(), scale)
 

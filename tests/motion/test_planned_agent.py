@@ -31,7 +31,7 @@ def learned() -> Learned:
     vehicle = Vehicle.bluerov2()
     parts = vehicle.inertia, vehicle.linear_damping, vehicle.quadratic_damping, vehicle.restoring[2:3]
     theta = torch.cat(parts).double()
-    return Learned(Identified(theta, 1e-3 * theta.abs()), vehicle.trim, 64.0, 0)
+    return Learned(Identified(theta, 1e-3 * theta.abs(), theta.new_zeros(2), theta.new_zeros(2)), vehicle.trim, 64.0, 0)
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from uwirl.irl.rls import RecursiveLeastSquares
 from uwirl.motion.vehicle_model import Regressor
+from uwirl.world.geometry import turned_to_body
 
 # Times that rows are weighed anew by their residuals.
 ROUNDS = 3
@@ -28,6 +29,8 @@ ROUNDS = 3
 NEIGHBOURS = 2
 # Error that the integrals' rule may leave in a parameter without noise, as a share of it.
 RULE = 0.002
+# Gauss-Newton steps to the current, and the difference by which slopes are found, m/s.
+STEPS, STEP = 2, 0.01
 
 
 class Rows(NamedTuple):
@@ -53,10 +56,19 @@ class Identified(NamedTuple):
     Attributes:
         theta: [p].
         std: standard errors, [p].
+        current: horizontal velocity of the water, [2], m/s.
+        current_std: its standard errors, [2], m/s.
     """
 
     theta: Tensor
     std: Tensor
+    current: Tensor
+    current_std: Tensor
+
+    def items(self, names: tuple[str, ...]) -> list[tuple[str, float, float]]:
+        """Name, value and standard error of each parameter, and of the current's two components."""
+        values, stds = torch.cat([self.theta, self.current]), torch.cat([self.std, self.current_std])
+        return list(zip((*names, "current_x", "current_y"), values.tolist(), stds.tolist(), strict=True))
 
     def doubtful(self, names: tuple[str, ...], most: float) -> list[str]:
         """Names of parameters other than zero whose standard error is more than so large a share of them."""
@@ -111,26 +123,53 @@ class Windows:
 
 
 class Log(NamedTuple):
-    """A flight of L vehicles as `Windows.rows` takes it: eta and nu [n + 1, L, 4], tau [n, L, 4]."""
+    """A flight of L vehicles: eta and nu over ground [n + 1, L, 4], tau [n, L, 4]."""
 
     eta: Tensor
     nu: Tensor
     tau: Tensor
 
+    def through(self, current: Tensor) -> Log:
+        """The same with nu through water that moves at a current [2], m/s."""
+        velocity = torch.nn.functional.pad(current, (0, 2)).expand_as(self.nu)
+        return self._replace(nu=self.nu - turned_to_body(velocity, self.eta[..., 3]))
 
-def identify_flights(windows: Windows, logs: list[Log], scale: Tensor) -> Identified | None:
-    """Parameters of vehicles that are alike, from their flights; None while there are too few windows.
+
+def identify_flights(windows: Windows, logs: list[Log], scale: Tensor, current: Tensor) -> Identified | None:
+    """Parameters of vehicles that are alike, and the current, from their flights; None while there are too few windows.
+
+    For a given current all else is least squares, so the current is found by Gauss-Newton steps on what these leave.
 
     Args:
         windows: how flights are cut.
-        logs: the flights.
+        logs: the flights, in one constant current.
         scale: see `identify`.
+        current: where the search begins, [2], m/s.
     """
-    rows = Rows.joined([windows.rows(*log) for log in logs])
-    if len(rows.regressor) <= len(windows.regressor.names):
+
+    def known(c: Tensor) -> tuple[Identified, Tensor]:
+        flights = [log.through(c) for log in logs]
+        first = identify(Rows.joined([windows.rows(*log) for log in flights]), windows.regressor, scale).theta
+        rows = Rows.joined([windows.rows(*log, first) for log in flights])
+        found = identify(rows, windows.regressor, scale)
+        return found, rows.regressor @ found.theta - rows.impulse
+
+    if sum(len(windows.rows(*log).regressor) for log in logs) <= len(windows.regressor.names):
         return None
-    first = identify(rows, windows.regressor, scale).theta
-    return identify(Rows.joined([windows.rows(*log, first) for log in logs]), windows.regressor, scale)
+    found, residual = known(current)
+    # Weights of this search are those of its beginning, so that it minimises one sum.
+    weight = 1.0 / residual.square().mean(0).sqrt().clamp_min(1e-6 * scale.to(residual))
+    for _ in range(STEPS):
+        ahead = [known(current + STEP * axis)[1] for axis in torch.eye(2).to(current)]
+        slope = torch.stack([(other - residual) * weight for other in ahead], -1).flatten(0, 1) / STEP
+        information = slope.T @ slope
+        change = -torch.linalg.solve(information, slope.T @ (residual * weight).flatten())
+        tried, left = known(current + change)
+        if not float((left * weight).square().sum()) < float((residual * weight).square().sum()):
+            break
+        current, found, residual = current + change, tried, left
+    std = torch.linalg.inv(information).diagonal().sqrt()
+    return found._replace(current=current, current_std=std)
 
 
 def identify(rows: Rows, regressor: Regressor, scale: Tensor) -> Identified:
@@ -177,7 +216,8 @@ def identify(rows: Rows, regressor: Regressor, scale: Tensor) -> Identified:
         spread = spread + (1.0 - lag / (NEIGHBOURS + 1.0)) * (both + both.T)
     covariance = P @ spread @ P
     std = covariance.diagonal().clamp_min(0.0).sqrt() * (W / (W - p / 4.0)) ** 0.5
-    return Identified(theta, torch.where(free, std + RULE * theta.abs(), 0.0))
+    still = theta.new_zeros(2)
+    return Identified(theta, torch.where(free, std + RULE * theta.abs(), 0.0), still, still)
 
 
 def _solved(Y: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:

@@ -98,9 +98,11 @@ class IdentifiedPlanner:
         windows = Windows(self.regressor, dt, steps, steps, env.scenario.depth)
         logs, world, leg = [_log(hover)], hover.end.detached(), 0
         hit, seconds = contacts_while(env, hover), float(hover.time[-1])
+        current = trim.new_zeros(2).double()
         poses = self.experience.poses(env.scenario, bool(env.scenario.obstacles.number))
         while True:
-            known = identify_flights(windows, logs, env.vehicle.tau_max)
+            known = identify_flights(windows, logs, env.vehicle.tau_max, current)
+            current = current if known is None else known.current
             yield Learned(known, trim, seconds * vehicles, hit)
             if seconds >= self.max_time_s:
                 break
@@ -144,8 +146,8 @@ class IdentifiedPlanner:
         if isinstance(guard, EnergyGuard):
             braking = guard.mass_upper_kg / (2.0 * guard.brake_force_N)
             settings = replace(settings, braking=braking, separation_m=guard.separation_m)
-        theta = learned.identified.theta.to(device)[None]
-        model = VehicleModel(self.regressor, theta, theta.new_zeros(1, 2))
+        known = learned.identified
+        model = VehicleModel(self.regressor, known.theta.to(device)[None], known.current.to(device)[None])
         return PlannedAgent(model, reactive, env.vehicle.tau_max, env.scenario, settings)
 
     @torch.no_grad()

@@ -120,14 +120,13 @@ class PlannedAgent:
 
     def _followed(self, carry: PlanCarry, observation: Observation) -> Tensor:
         """tau [B, M, 4] of the plans."""
-        k, rows, off, over = self._off(carry, observation)
         # After its end a plan holds its last place.
-        effort = torch.where(over[:, None], 0.0, carry.effort[k, rows])
-        tau = self.model.trim + effort + (carry.gain[k, rows] @ off[..., None])[..., 0]
+        k, rows, off = self._off(carry, observation)
+        tau = self.model.trim + carry.effort[k, rows] + (carry.gain[k, rows] @ off[..., None])[..., 0]
         return tau.view(observation.eta.shape).to(observation.eta)
 
-    def _off(self, carry: PlanCarry, observation: Observation) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Node and number of each vehicle, its deviation from the plan [B M, 8], and whether that is over."""
+    def _off(self, carry: PlanCarry, observation: Observation) -> tuple[Tensor, Tensor, Tensor]:
+        """Node and number of each vehicle, and its deviation from the plan, [B M, 8]."""
         M = observation.eta.shape[1]
         node = ((observation.step - carry.first) * self.scenario.dt / self.settings.node_s).repeat_interleave(M)
         last = len(carry.effort) - 1
@@ -136,7 +135,7 @@ class PlannedAgent:
         rows = torch.arange(len(k), device=k.device)
         off = self._state(observation) - torch.lerp(carry.x[k, rows], carry.x[k + 1, rows], share.to(carry.x))
         off[:, 3] = wrapped(off[:, 3])
-        return k, rows, off, node > last + 1
+        return k, rows, off
 
     def _state(self, observation: Observation) -> Tensor:
         """x [B M, 8] of vehicles, with nu through the water."""

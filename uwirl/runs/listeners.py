@@ -50,7 +50,7 @@ class Narrator:
     def _model(self, names: tuple[str, ...], learned: Learned) -> None:
         assert learned.identified is not None
         if learned.seconds >= self.next_line_s or not self.bar.disable:
-            known = zip(names, *(part.tolist() for part in learned.identified), strict=True)
+            known = learned.identified.items(names)
             told = ", ".join(f"{name} {value:.3g} +- {std:.1g}" for name, value, std in known)
             log.info("  learning: %.0f s flown, %s", learned.seconds, told)
             self.next_line_s = learned.seconds + 60.0

@@ -62,14 +62,14 @@ def learning_metrics(state: LearningState, dt: float) -> dict[str, Any]:
     }
 
 
-def model_metrics(names: Sequence[str], learned: Learned) -> dict[str, Any]:
+def model_metrics(names: tuple[str, ...], learned: Learned) -> dict[str, Any]:
     """Entries of metrics.json about a model learned in flight: its parameters and their standard errors."""
     metrics: dict[str, Any] = {
         "learning_vehicle_seconds": learned.seconds,
         "learning_collisions": learned.contacts,
     }
     if learned.identified is not None:
-        for name, value, std in zip(names, *(part.tolist() for part in learned.identified), strict=True):
+        for name, value, std in learned.identified.items(names):
             metrics |= {f"model_{name}": value, f"model_{name}_std": std}
     return metrics
 

@@ -88,11 +88,11 @@ class TensorBoard:
         self.writer.add_scalar("learning/weight_change", record.weight_change, record.iteration)
         self.writer.add_scalar("learning/vehicle_seconds_s", record.seconds, record.iteration)
 
-    def model(self, names: Sequence[str], learned: Learned) -> None:
+    def model(self, names: tuple[str, ...], learned: Learned) -> None:
         """Parameters of a model learned in flight and their 95 % intervals, over vehicle time (step = s)."""
         if learned.identified is None:
             return
-        for name, value, std in zip(names, *(part.tolist() for part in learned.identified), strict=True):
+        for name, value, std in learned.identified.items(names):
             for suffix, number in (("", value), ("_low", value - 1.96 * std), ("_high", value + 1.96 * std)):
                 self.writer.add_scalar(f"model/{name}{suffix}", number, round(learned.seconds))
 
