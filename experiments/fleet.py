@@ -59,7 +59,7 @@ def told(name: str, vehicle: str, flown: Evaluation) -> dict[str, Any]:
 @style.paper
 def draw(flown: dict[str, tuple[Relay, Evaluation]], world: int) -> Figure:
     """Paths of the last planner's vehicles in one layout."""
-    columns = 4
+    columns = 3
     rows = -(-len(flown) // columns)
     figure = style.new(style.PAGE, rows * (style.PAGE / columns + 0.1))
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).flatten()

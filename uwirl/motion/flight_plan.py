@@ -47,6 +47,11 @@ class Flights(NamedTuple):
     J: Tensor
     defect: Tensor
 
+    @classmethod
+    def joined(cls, parts: list[Flights]) -> Flights:
+        """Flights of several batches as one."""
+        return cls(*(torch.cat(some, 1 if some[0].ndim > 1 else 0) for some in zip(*parts, strict=True)))
+
     def select(self, rows: Tensor) -> Flights:
         """Some of the flights, by their numbers."""
         return Flights(self.x[:, rows], self.effort[:, rows], self.gain[:, rows], self.J[rows], self.defect[rows])

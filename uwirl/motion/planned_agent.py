@@ -25,10 +25,13 @@ from uwirl.world.scenario import Scenario
 FIRST, MIDDLE, LAST, KEPT = 8, 8, 10, 2
 # A plan whose dynamics are violated by more, or that comes closer to an obstacle than this, is not flown; SI units, m.
 MOST_DEFECT, LEAST_GAP = 0.1, -0.05
-# A vehicle farther from its plan than this begins a new one, m.
-LOST = 0.5
+# A vehicle farther from its plan than this begins a new one; one closer than that keeps it, unless obstacles or other
+# vehicles move, m.
+LOST, CLOSE = 0.5, 0.05
 # Fewer nodes are not worth a new plan.
 LEAST_NODES = 10
+# Vehicles planned together: enough to hide the cost of a call, few enough for the memory.
+BATCH = 32
 
 
 @dataclass(frozen=True)
@@ -157,14 +160,17 @@ class PlannedAgent:
         if not bool(due.any() | found.any()):
             return carry
         due = due.repeat_interleave(M)
-        lost = length(self._off(carry, observation)[2][:, :3]) > LOST
-        anew = found | (due & (lost | ~carry.flown))
+        away = length(self._off(carry, observation)[2][:, :3])
+        # Where the way is blocked there will be a plan only once the obstacles are known to be others.
+        anew = found | (due & ((away > LOST) | ~carry.flown) & ~route.blocked.flatten())
+        moving = M > 1 or self.reactive.tracker.drifts
+        improved = due & ~anew & ((away > CLOSE) | moving)
         for passed in since.unique().tolist():
             node = round(passed * self.scenario.dt / self.settings.node_s)
             here = (since == passed).repeat_interleave(M)
             if nodes - node >= LEAST_NODES:
                 carry = self._renewed(carry, (here & anew).nonzero()[:, 0], node, observation, True)
-                carry = self._renewed(carry, (here & due & ~anew).nonzero()[:, 0], node, observation, False)
+                carry = self._renewed(carry, (here & improved).nonzero()[:, 0], node, observation, False)
         return carry
 
     def _renewed(self, carry: PlanCarry, rows: Tensor, node: int, observation: Observation, anew: bool) -> PlanCarry:
@@ -184,6 +190,9 @@ class PlannedAgent:
 
     def _planned(self, rows: Tensor, route: Route, observation: Observation, nodes: int) -> tuple[Flights, Tensor]:
         """Plans of some vehicles from guesses on their ways, and whether each is good enough to be flown."""
+        if len(rows) > BATCH:
+            parts = [self._planned(some, route, observation, nodes) for some in rows.split(BATCH)]
+            return Flights.joined([plan for plan, _ in parts]), torch.cat([good for _, good in parts])
         fine, start = self._problem(rows, route, observation), self._state(observation)[rows]
         coarse = replace(fine, cost=replace(fine.cost, dt=2.0 * fine.cost.dt))
         goal = route.goal.flatten(0, 1)[rows]
