@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch import Tensor
 
 from uwirl import build
 from uwirl.motion.identification import Identified
@@ -11,7 +12,10 @@ from uwirl.motion.identified_planner import IdentifiedPlanner, Learned
 from uwirl.motion.planned_agent import PlanCarry
 from uwirl.snr.estimators import estimate_each_vehicle
 from uwirl.study.evaluation import Evaluation
+from uwirl.world.geometry import to_inertial
 from uwirl.world.obstacles import contacts
+from uwirl.world.relay import Relay
+from uwirl.world.truth import truth_of
 from uwirl.world.vehicle import Vehicle
 
 RING = (
@@ -77,3 +81,39 @@ def test_vehicles_keep_apart(fly):
     flown, _ = fly("experiment=fig6_pair", "scenario.duration_s=70")
     assert float(flown.separation.min()) > 0.95
     assert flown.time_to_99_percent() is not None
+
+
+class Odd(Vehicle):
+    """Drag of exponent 1.8, and drag that couples sway and yaw: nothing that the model has."""
+
+    def rk4(self, x: Tensor, tau: Tensor, dt: float, out: Tensor | None = None) -> Tensor:
+        inertia, linear, quadratic, rest = (
+            part.view(4, *[1] * (x.ndim - 1))
+            for part in (self.inertia, self.linear_damping, self.quadratic_damping, self.restoring)
+        )
+
+        def rate(y: Tensor) -> Tensor:
+            nu, (u, v, w, r) = y[4:], y[4:]
+            force = tau - rest - linear * nu - quadratic * nu.abs() ** 0.8 * nu
+            coriolis = inertia[1] * v * r, -inertia[0] * u * r - 3.0 * r, 0.0 * w, (inertia[0] - inertia[1]) * u * v - v
+            return torch.cat([torch.stack([*to_inertial(u, v, y[3]), w, r]), (force + torch.stack(coriolis)) / inertia])
+
+        first = rate(x)
+        second = rate(x + 0.5 * dt * first)
+        third = rate(x + 0.5 * dt * second)
+        after = x + dt / 6.0 * (first + 2.0 * (second + third) + rate(x + dt * third))
+        return after if out is None else out.copy_(after)
+
+
+@pytest.mark.parametrize("vehicle", ["bluerov2", "low_drag"])
+def test_a_vehicle_that_the_model_cannot_be_is_flown_all_the_same(make_config, make_relay, vehicle):
+    words = ("experiment=fig5_single", "planner=identified", f"vehicle={vehicle}")
+    config, plain = make_config(*words), make_relay(*words)
+    env = Relay(plain.scenario, Odd(**config.vehicle.values()), truth_of(plain).channel, plain.streams)
+    _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator, env))
+    planners = [build.make_planner(config, which, env) for which in (config.planner, config.baseline)]
+    evaluator = build.make_evaluator(config, env)
+    ours, pd = evaluator.fly_side_by_side([(planner.fit(env, estimate), 1) for planner in planners])
+    assert not bool(contacts(ours.clearance).any())
+    assert ours.time_to_99_percent() is not None
+    assert float(ours.cost) < float(pd.cost)

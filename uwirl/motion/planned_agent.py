@@ -22,7 +22,7 @@ from uwirl.world.scenario import Scenario
 
 # Iterations on all guesses and on the best of them, with nodes twice as far apart, and on the best one; how many the
 # best are.
-FIRST, MIDDLE, LAST, KEPT = 8, 8, 10, 2
+FIRST, MIDDLE, LAST, KEPT = 8, 12, 14, 3
 # A plan whose dynamics are violated by more, or that comes closer to an obstacle than this, is not flown; SI units, m.
 MOST_DEFECT, LEAST_GAP = 0.1, -0.05
 # A vehicle farther from its plan than this begins a new one; one closer than that keeps it, unless obstacles or other
