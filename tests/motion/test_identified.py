@@ -224,3 +224,14 @@ def test_a_carry_continues_a_flight(short, make_config, make_relay):
     rest = env.rollout(agent, half.end, 50, carry=half.carry)
     assert torch.equal(torch.cat([half.tau, rest.tau]), whole.tau)
     assert replace(half).tau is half.tau
+
+
+def test_two_vehicles_learn_one_model(make_config, make_relay):
+    """Their hovers alone have more windows than the model has parameters, and tell nearly nothing."""
+    words = ("experiment=fig6_pair", "planner=identified", "planner.max_time_s=34")
+    config, env = make_config(*words), make_relay(*words)
+    _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator, env))
+    first, *_, last = build.make_planner(config, config.planner, env).learn(env, estimate)
+    assert first.identified is None
+    truth = true_theta(env.vehicle)
+    torch.testing.assert_close(last.identified.theta[:4], truth[:4], rtol=0.03, atol=0.0)

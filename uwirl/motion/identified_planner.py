@@ -101,7 +101,8 @@ class IdentifiedPlanner:
         current = trim.new_zeros(2).double()
         poses = self.experience.poses(env.scenario, bool(env.scenario.obstacles.number))
         while True:
-            known = identify_flights(windows, logs, env.vehicle.tau_max, current)
+            # A hover alone tells neither drag nor current.
+            known = identify_flights(windows, logs, env.vehicle.tau_max, current) if leg else None
             current = current if known is None else known.current
             yield Learned(known, trim, seconds * vehicles, hit)
             if seconds >= self.max_time_s:
