@@ -31,7 +31,7 @@ class Learned(NamedTuple):
 
     def agent_in(self, worlds: Relay) -> Agent:
         """The agent in other worlds between the same nodes, see `Learning.agent`."""
-        return self.learning.agent(self.state.learner.actor, self.state.trim, worlds)
+        return self.learning.agent(self.state.learner.actor, self.state.trim, worlds, self.state.known)
 
 
 def shown(events: Iterator[Event], config: Config) -> Iterator[Event]:

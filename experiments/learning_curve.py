@@ -72,7 +72,7 @@ def learning_curve(seeds: int, times_s: list[float], overrides: list[str]) -> di
     evaluator = Evaluator(env, build.make_cost(config.cost), progress=config.logging.progress)
 
     def gaps(weights: Tensor) -> tuple[list[float], list[float]]:
-        J = evaluator.cost_of_weights(learning, weights[:, None], state.trim, STARTS[:, None, :4])
+        J = evaluator.cost_of_weights(learning, weights[:, None], state.trim, state.known, STARTS[:, None, :4])
         reference = STARTS[:, 4]
         over_starts = J[:, 1:].sum(1) / reference[1:].sum() - 1.0
         return (100.0 * over_starts).tolist(), (100.0 * (J[:, 0] / reference[0] - 1.0)).tolist()

@@ -104,4 +104,6 @@ def algorithm_1(env: Relay, estimator: Estimator, planner: Planner, start: Start
     while not learning.is_over(state):
         state = learning.step(state)
         yield Improved(learning, state, learning.records(state))
-    yield Planned(lambda worlds: learning.agent(state.learner.actor, state.trim, worlds), (learning, state))
+    yield Planned(
+        lambda worlds: learning.agent(state.learner.actor, state.trim, worlds, state.known), (learning, state)
+    )

@@ -28,7 +28,9 @@ def judge():
 
     def costs(learned, weights):
         evaluator, start = Evaluator(learned.env, CostWeights()), learned.env.scenario.start[None]
-        return evaluator.cost_of_weights(learned.learning, weights[:, None], learned.state.trim, start)[:, 0]
+        return evaluator.cost_of_weights(
+            learned.learning, weights[:, None], learned.state.trim, learned.state.known, start
+        )[:, 0]
 
     return costs
 

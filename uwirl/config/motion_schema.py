@@ -224,6 +224,11 @@ class IrlConfig(PlannerConfig, names=(PlannerName.irl,), file="irl_schema"):
     tolerance_weights: float = ruled(not_negative)
     tolerance_inverse_capacity: float = ruled(not_negative)  # epsilon_4, s/kbit
     max_time_s: float = ruled(positive)  # s; T_max,2, vehicle time
+    model_time_s: float = ruled(
+        positive
+    )  # s; vehicle time after which the model for flights along routes is identified
+    model_window_s: float = MISSING  # s; of the integrals of one row of it
+    most_doubt: float = ruled(positive)  # largest standard error of an inertia, as a share of it
 
 
 @dataclass

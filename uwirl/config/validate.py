@@ -270,6 +270,7 @@ def _learner(key: str, planner: IrlConfig, config: Config) -> Problems:
     dt, experience = config.scenario.dt_s, config.experience
     window = round(planner.window_s / dt)
     times = [(f"{key}.window_s", planner.window_s, 2), (f"{key}.stride_s", planner.stride_s, 1)]
+    times += [(f"{key}.model_window_s", planner.model_window_s, 1)]
     for name, seconds, least in (*times, ("experience.leg_s", experience.leg_s, 1)):
         problem = in_steps(seconds, dt, least)
         if problem:

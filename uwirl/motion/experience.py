@@ -20,6 +20,7 @@ from uwirl.irl.bellman import Segment
 from uwirl.irl.networks import LinearActor
 from uwirl.irl.solvers import Batch
 from uwirl.motion.excitation import ArenaDraw, Excitation, PoseDraw
+from uwirl.motion.identification import Log
 from uwirl.motion.linear_agent import LinearAgent
 from uwirl.motion.link_frame import relabel
 from uwirl.motion.recorder import Recorder
@@ -54,12 +55,14 @@ class Leg(NamedTuple):
         after: state of the flight after it.
         seconds: its vehicle time, s.
         contacts: number of contacts with obstacles.
+        log: what was flown, of all vehicles.
     """
 
     batch: Batch
     after: FlightState
     seconds: float
     contacts: int
+    log: Log
 
 
 def contacts_while(env: Relay, flown: Trajectory) -> int:
@@ -182,7 +185,8 @@ class VirtualLinks(Exploration):
             segments = [recorder.segment(relabel(x, pose), flown, dt) for pose in frames]
             relabelled = Segment(*(torch.cat(parts) for parts in zip(*segments, strict=True)))
         batch = Batch((recorder.segment(x, flown, dt), relabelled), (1.0, weight))
-        return Leg(batch, FlightState(flown.end.detached(), leg + 1), self.leg_s, contacts_while(env, flown))
+        after = FlightState(flown.end.detached(), leg + 1)
+        return Leg(batch, after, self.leg_s, contacts_while(env, flown), Log.of(flown))
 
 
 @dataclass(frozen=True)
@@ -215,4 +219,4 @@ class Parallel(Exploration):
         windows = recorder.segment(x, flown, env.scenario.dt)
         pooled = Segment(*(part.flatten(0, 1).unsqueeze(1) for part in windows))
         after, seconds = FlightState(flown.end.detached(), flight.leg + 1), self.worlds * self.leg_s
-        return Leg(Batch((pooled,), (1.0,)), after, seconds, contacts_while(env, flown))
+        return Leg(Batch((pooled,), (1.0,)), after, seconds, contacts_while(env, flown), Log.of(flown))

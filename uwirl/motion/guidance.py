@@ -4,29 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
 from uwirl.motion.cost import RelayCost
+from uwirl.motion.cruise import Cruise
 from uwirl.motion.linear_agent import LinkController
 from uwirl.motion.link_frame import LinkFrame
 from uwirl.motion.mission import Mission
 from uwirl.motion.route import MapSettings, Router, link_cost
 from uwirl.motion.route_tracker import Route, RouteTracker
-from uwirl.motion.way_law import WayLaw
+from uwirl.motion.vehicle_model import VehicleModel
+from uwirl.motion.way_law import OnWay, WayLaw
 from uwirl.world.agent import Agent
 from uwirl.world.geometry import left_of, length, none_known, to_body
 from uwirl.world.observation import Observation
 
-# From a controller for the last metres to an agent that flies the whole distance.
-Lead = Callable[[LinkController], Agent]
+
+class Lead(Protocol):
+    """From a controller for the last metres to an agent that flies the whole distance."""
+
+    def __call__(self, controller: LinkController, model: VehicleModel | None = None) -> Agent:
+        """The agent.
+
+        Args:
+            controller: for the last metres.
+            model: of the vehicle, if one is known.
+        """
+        ...
+
+
 # From a mission to such a function.
 Guidance = Callable[[Mission], Lead]
 
 
-def go_straight(controller: LinkController) -> Agent:
+def go_straight(controller: LinkController, model: VehicleModel | None = None) -> Agent:
     """The controller itself, without a route."""
     return controller
 
@@ -76,7 +90,13 @@ class Geodesic:
             return go_straight
         router = Router(scenario, mission.targets.frame, mission.cost, self.margin_m, self.map_settings)
         tracker = RouteTracker(scenario, router)
-        return lambda controller: GeodesicAgent(controller, tracker, mission.cost, self, scenario.dt)
+        tau_max = mission.env.vehicle.tau_max
+
+        def lead(controller: LinkController, model: VehicleModel | None = None) -> Agent:
+            cruise = None if model is None else Cruise(model, mission.cost, tau_max, scenario.dt)
+            return GeodesicAgent(controller, tracker, mission.cost, self, scenario.dt, cruise)
+
+        return lead
 
 
 class RouteCarry(NamedTuple):
@@ -116,6 +136,7 @@ class GeodesicAgent:
         cost: running cost on the estimated channel.
         settings: gains and map settings.
         dt: time step, s.
+        cruise: flies along the route by a model; None to fly by the gains of `settings`.
     """
 
     near: LinkController
@@ -123,6 +144,7 @@ class GeodesicAgent:
     cost: RelayCost
     settings: Geodesic
     dt: float
+    cruise: Cruise | None = None
 
     def init(self, observation: Observation) -> RouteCarry:
         """Plan the first route."""
@@ -130,33 +152,44 @@ class GeodesicAgent:
 
     def act(self, carry: RouteCarry, observation: Observation) -> tuple[Tensor, RouteCarry]:
         """tau [B, M, 4]."""
-        law, position = self.settings.law, observation.position
+        law = self.law
         route = self.tracker.update(carry.route, observation)
-        goal = route.goal.to(position.dtype)
-        direction = route.direction(observation).to(position.dtype)
-        way = law.keep_right(direction, position, observation.messages.eta[..., :3])
-        distance = length(position[..., :2] - goal[..., :2])
-        share, tau = law.near_share(distance)[..., None], self._along(route, observation, way, distance)
+        seen = self._on_way(route, observation)
+        share = law.near_share(seen.distance)[..., None]
+        tau, progress = self.cruise.control(seen, self.near) if self.cruise else (self._tuned(seen), None)
         if not none_known(share > 0.0):
-            near = self.near.towards(LinkFrame(goal, self.near.frame.bearing)).control(observation)
+            near = self.near.towards(LinkFrame(seen.goal, self.near.frame.bearing)).control(observation)
             tau = (1.0 - share) * tau + share * near
-        force, push = law.pushed(carry.push, observation, goal, way, distance, self.dt)
+        force, push = law.pushed(carry.push, observation, seen.goal, seen.way, seen.distance, self.dt, progress)
         return torch.cat([tau[..., :2] + force, tau[..., 2:]], -1), RouteCarry(route, push)
 
-    def _along(self, route: Route, observation: Observation, way: Tensor, distance: Tensor) -> Tensor:
-        """tau [B, M, 4] that follows the routes, given by unit vectors [B, M, 2], at the best speed."""
-        settings, law, bearing = self.settings, self.settings.law, self.near.frame.bearing
-        psi, nu = observation.eta[..., 3], observation.nu
+    @property
+    def law(self) -> WayLaw:
+        """What the laws with and without a model share."""
+        return self.cruise.way if self.cruise else self.settings.law
+
+    def _on_way(self, route: Route, observation: Observation) -> OnWay:
+        position, psi = observation.position, observation.eta[..., 3]
+        goal = route.goal.to(position.dtype)
+        direction = route.direction(observation).to(position.dtype)
+        way = self.law.keep_right(direction, position, observation.messages.eta[..., :3])
+        link = link_cost(self.near.frame, self.cost, position)
+        q = link + self.tracker.avoidance(route, observation, observation.time) - route.rest_cost
+        distance = length(position[..., :2] - goal[..., :2])
+        return OnWay(observation, way, goal, distance, self.near.frame.bearing.expand(psi.shape), link, q)
+
+    def _tuned(self, seen: OnWay) -> Tensor:
+        """tau [B, M, 4] along the routes by the constants of `settings`."""
+        settings, law, state, way = self.settings, self.settings.law, seen.state, seen.way
+        psi, nu = state.eta[..., 3], state.nu
         u = torch.stack(to_body(way[..., 0], way[..., 1], psi), -1)
         across = left_of(u)
-        q = link_cost(self.near.frame, self.cost, observation.position)
-        q = q + self.tracker.avoidance(route, observation, observation.time)
-        drive = settings.gain * law.drive(law.pace_cost(q - route.rest_cost, distance), self.cost.R[:2], u)
-        error = law.heading_error(way, observation, bearing, drive)
+        drive = settings.gain * law.drive(law.pace_cost(seen.q, seen.distance), self.cost.R[:2], u)
+        error = law.heading_error(way, state, seen.bearing, drive)
         drift = (nu[..., :2] * across).sum(-1)
         force = law.slowed(drive, u)[..., None] * u - settings.lateral_damping * drift[..., None] * across
-        led = self.near.towards(LinkFrame(route.goal, psi - error)).control(observation)
+        led = self.near.towards(LinkFrame(seen.goal, psi - error)).control(state)
         hold = -settings.heading_stiffness * torch.sin(error) - settings.heading_damping * nu[..., 3]
-        trim = self.near.trim[..., 2].expand(distance.numel()).view(distance.shape)
-        heave = trim + law.descent(observation, route.goal, distance)
+        trim = self.near.trim[..., 2].expand(psi.numel()).view(psi.shape)
+        heave = trim + law.descent(state, seen.goal, seen.distance)
         return torch.cat([force, heave[..., None], led[..., 3:] + hold[..., None]], -1)

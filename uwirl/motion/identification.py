@@ -20,8 +20,9 @@ import torch
 from torch import Tensor
 
 from uwirl.irl.rls import RecursiveLeastSquares
-from uwirl.motion.vehicle_model import Regressor
+from uwirl.motion.vehicle_model import Regressor, VehicleModel
 from uwirl.world.geometry import turned_to_body
+from uwirl.world.trajectory import Trajectory
 
 # Times that rows are weighed anew by their residuals.
 ROUNDS = 3
@@ -65,10 +66,20 @@ class Identified(NamedTuple):
     current: Tensor
     current_std: Tensor
 
+    def model(self, regressor: Regressor, device: torch.device) -> VehicleModel:
+        """The model of one vehicle, [1]."""
+        return VehicleModel(regressor, self.theta.to(device)[None], self.current.to(device)[None])
+
     def items(self, names: tuple[str, ...]) -> list[tuple[str, float, float]]:
         """Name, value and standard error of each parameter, and of the current's two components."""
         values, stds = torch.cat([self.theta, self.current]), torch.cat([self.std, self.current_std])
         return list(zip((*names, "current_x", "current_y"), values.tolist(), stds.tolist(), strict=True))
+
+    def doubtful_inertia(self, regressor: Regressor, most: float) -> list[str]:
+        """Names of parameters of inertia whose standard error is more than so large a share of them."""
+        inertia = regressor.momentum(torch.eye(4)).abs().sum((0, 1)) > 0.0
+        names = [name for name, is_inertia in zip(regressor.names, inertia.tolist(), strict=True) if is_inertia]
+        return [name for name in self.doubtful(regressor.names, most) if name in names]
 
     def doubtful(self, names: tuple[str, ...], most: float) -> list[str]:
         """Names of parameters other than zero whose standard error is more than so large a share of them."""
@@ -128,6 +139,11 @@ class Log(NamedTuple):
     eta: Tensor
     nu: Tensor
     tau: Tensor
+
+    @classmethod
+    def of(cls, flown: Trajectory) -> Log:
+        """All vehicles of a flight, which are alike."""
+        return cls(*(x.double().flatten(1, 2) for x in (flown.states.eta, flown.states.nu, flown.tau)))
 
     def through(self, current: Tensor) -> Log:
         """The same with nu through water that moves at a current [2], m/s."""
@@ -227,7 +243,9 @@ def _solved(Y: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     size = A.norm(dim=0).clamp_min(1e-12)
     rls = RecursiveLeastSquares(A.shape[1], p0=1e8, device=str(A.device))
     state = rls.init()
-    for row, value in zip((A / size)[:, None], c[:, None], strict=True):
+    # The triangular factor of all rows tells the same as they do, and takes p updates.
+    Q, R = torch.linalg.qr(A / size)
+    for row, value in zip(R[:, None], (Q.T @ c)[:, None], strict=True):
         state = rls.update(state, row, value)
     return state.weight[0] / size, state.P[0] / size[:, None] / size
 

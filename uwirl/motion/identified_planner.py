@@ -12,6 +12,7 @@ from torch import Tensor
 from uwirl.irl.networks import LinearActor
 from uwirl.motion.calibration import calibration_hover
 from uwirl.motion.cost import CostWeights
+from uwirl.motion.cruise import Cruise
 from uwirl.motion.experience import Exploration, VirtualLinks, contacts_while
 from uwirl.motion.features import LinkFrameBasis
 from uwirl.motion.guidance import Geodesic, GeodesicAgent
@@ -22,11 +23,10 @@ from uwirl.motion.planned_agent import PlannedAgent, PlanSettings
 from uwirl.motion.route import Router
 from uwirl.motion.route_tracker import RouteTracker
 from uwirl.motion.safety import EnergyGuard, Limits
-from uwirl.motion.vehicle_model import Fossen, Regressor, VehicleModel
+from uwirl.motion.vehicle_model import Fossen, Regressor
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.world.agent import Agent, Guard, Guarded
 from uwirl.world.relay import Relay
-from uwirl.world.trajectory import Trajectory
 
 # Saturation lengths of the start policy's features, m.
 SCALES = (2.0, float("inf"))
@@ -96,7 +96,7 @@ class IdentifiedPlanner:
         dt, vehicles = env.scenario.dt, env.worlds * env.scenario.vehicles
         steps = round(self.window_s / dt)
         windows = Windows(self.regressor, dt, steps, steps, env.scenario.depth)
-        logs, world, leg = [_log(hover)], hover.end.detached(), 0
+        logs, world, leg = [Log.of(hover)], hover.end.detached(), 0
         hit, seconds = contacts_while(env, hover), float(hover.time[-1])
         current = trim.new_zeros(2).double()
         poses = self.experience.poses(env.scenario, bool(env.scenario.obstacles.number))
@@ -113,7 +113,7 @@ class IdentifiedPlanner:
             wave = wave.to(trim).view(legs, *world.vehicles.eta.shape)
             agent = LinearAgent(view, actor, trim, wave.to(world.vehicles.eta), int(world.step[0]))
             flown = env.rollout(Guarded(agent, guard), world, legs)
-            logs.append(_log(flown))
+            logs.append(Log.of(flown))
             hit, seconds = hit + contacts_while(env, flown), seconds + self.experience.leg_s
             world, leg = flown.end.detached(), leg + 1
         self._check(known)
@@ -124,7 +124,7 @@ class IdentifiedPlanner:
     def _check(self, known: Identified | None) -> None:
         if known is None:
             raise UnidentifiedError("planner.max_time_s: too short a flight for the model's parameters")
-        inertia = [x for x in known.doubtful(self.regressor.names, self.most_doubt) if x in self.regressor.names[:4]]
+        inertia = known.doubtful_inertia(self.regressor, self.most_doubt)
         if inertia:
             raise UnidentifiedError(
                 f"experience.excitation_rms: the flight was too calm to tell {', '.join(inertia)}: excite more, or fly "
@@ -141,14 +141,14 @@ class IdentifiedPlanner:
         guidance = self.guidance
         router = Router(env.scenario, mission.targets.frame, mission.cost, guidance.margin_m, guidance.map_settings)
         tracker = RouteTracker(env.scenario, router)
-        reactive = GeodesicAgent(near, tracker, mission.cost, guidance, env.scenario.dt)
+        model = learned.identified.model(self.regressor, device)
+        cruise = Cruise(model, mission.cost, env.vehicle.tau_max, env.scenario.dt)
+        reactive = GeodesicAgent(near, tracker, mission.cost, guidance, env.scenario.dt, cruise)
         settings = PlanSettings(self.node_s, self.replan_s, self.refine, guidance.margin_m)
         guard = self._guard(env)
         if isinstance(guard, EnergyGuard):
             braking = guard.mass_upper_kg / (2.0 * guard.brake_force_N)
             settings = replace(settings, braking=braking, separation_m=guard.separation_m)
-        known = learned.identified
-        model = VehicleModel(self.regressor, known.theta.to(device)[None], known.current.to(device)[None])
         return PlannedAgent(model, reactive, env.vehicle.tau_max, env.scenario, settings)
 
     @torch.no_grad()
@@ -156,8 +156,3 @@ class IdentifiedPlanner:
         """Learn, and return the agent."""
         *_, learned = self.learn(env, estimate)
         return self.agent(env, estimate, learned)
-
-
-def _log(flown: Trajectory) -> Log:
-    """All vehicles of a flight, which are alike."""
-    return Log(*(x.double().flatten(1, 2) for x in (flown.states.eta, flown.states.nu, flown.tau)))

@@ -24,4 +24,4 @@ class IrlPlanner(IrlSettings):
         state = learning.init()
         while not learning.is_over(state):
             state = learning.step(state)
-        return learning.agent(state.learner.actor, state.trim)
+        return learning.agent(state.learner.actor, state.trim, known=state.known)

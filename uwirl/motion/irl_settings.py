@@ -11,6 +11,7 @@ from uwirl.motion.cost import CostWeights, RelayCost
 from uwirl.motion.experience import ExperienceSource, VirtualLinks
 from uwirl.motion.features import LinkFrameBasis, MotionBasis
 from uwirl.motion.guidance import Geodesic, Guidance
+from uwirl.motion.vehicle_model import Fossen, Regressor
 from uwirl.world.agent import Guard
 
 
@@ -41,6 +42,10 @@ class IrlSettings:
         tolerance_weights: epsilon_3, relative change of the weights at which learning stops.
         tolerance_inverse_capacity: epsilon_4, change of 1/C that counts as converged, s/kbit.
         max_time_s: T_max,2, largest vehicle time, s.
+        model_time_s: vehicle time from which the model for flights along routes is identified, s.
+        model_window_s: of the integrals of one row of that identification, s.
+        most_doubt: largest standard error of an inertia, as a share of it, with which that model is flown.
+        regressor: structure of that model.
     """
 
     cost: CostWeights = field(default_factory=CostWeights)
@@ -60,6 +65,10 @@ class IrlSettings:
     tolerance_weights: float = 1e-3
     tolerance_inverse_capacity: float = 1e-4
     max_time_s: float = 600.0
+    model_time_s: float = 64.0
+    model_window_s: float = 1.0
+    most_doubt: float = 0.1
+    regressor: Regressor = field(default_factory=Fossen)
 
     @property
     def sign(self) -> float:

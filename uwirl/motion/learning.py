@@ -13,8 +13,10 @@ from uwirl.irl.networks import LinearActor, LinearCritic
 from uwirl.irl.policy_iteration import InsufficientDataError, LearnerState, PolicyIteration
 from uwirl.irl.solvers import Bounds
 from uwirl.motion.calibration import calibration_hover
+from uwirl.motion.cruise import declared_model
 from uwirl.motion.experience import FlightState, Leg, contacts_while
 from uwirl.motion.features import MotionBasis
+from uwirl.motion.identification import Identified, Log, Windows, identify_flights
 from uwirl.motion.irl_settings import IrlSettings
 from uwirl.motion.linear_agent import LinkController
 from uwirl.motion.mission import Mission
@@ -35,6 +37,8 @@ class LearningState(NamedTuple):
         start: start weights, [L, n3].
         seconds: vehicle time so far, s.
         contacts: number of contacts with obstacles so far.
+        logs: flights from which no model has been identified yet.
+        known: the model of the vehicles, which are alike; None until one is identified.
     """
 
     flight: FlightState
@@ -43,6 +47,8 @@ class LearningState(NamedTuple):
     start: Tensor
     seconds: float
     contacts: int
+    logs: tuple[Log, ...] = ()
+    known: Identified | None = None
 
 
 @dataclass(frozen=True)
@@ -57,6 +63,7 @@ class IterationRecord:
         weight_change: relative change of the actor's weights, the largest over the learners.
         converged: whether the change is below epsilon_3.
         rows: rows of experience so far, for each learner.
+        modelled: whether a model has been identified by then.
         closes: whether this is the last iteration of its leg.
         residual, condition: see `uwirl.irl.solvers.Solution`, the largest over the learners; None if not known.
     """
@@ -69,6 +76,7 @@ class IterationRecord:
     converged: bool
     rows: int
     closes: bool
+    modelled: bool = False
     residual: float | None = None
     condition: float | None = None
 
@@ -117,7 +125,8 @@ class Learning:
         critic = LinearCritic(self.basis, self.learners).to(device)
         learner = self.iteration.init(start, critic.weight)
         flight = planner.experience.begin(hover)
-        return LearningState(flight, learner, trim, start, float(hover.time[-1]), contacts_while(self.env, hover))
+        seconds, contacts = float(hover.time[-1]), contacts_while(self.env, hover)
+        return LearningState(flight, learner, trim, start, seconds, contacts, (Log.of(hover),))
 
     def step(self, state: LearningState) -> LearningState:
         """Fly a leg and learn from it."""
@@ -128,15 +137,30 @@ class Learning:
         """Fly the next leg with the newest weights; the returned state has not learned from it yet."""
         actor = LinearActor(self.basis, state.learner.actor)
         leg = self.planner.experience.fly(self.env, state.flight, actor, self._recorder(state), self.guard)
-        contacts = state.contacts + leg.contacts
-        return leg, state._replace(flight=leg.after, seconds=state.seconds + leg.seconds, contacts=contacts)
+        contacts, logs = state.contacts + leg.contacts, state.logs if state.known else (*state.logs, leg.log)
+        after = state._replace(flight=leg.after, seconds=state.seconds + leg.seconds, contacts=contacts, logs=logs)
+        return leg, after
 
     def improve(self, state: LearningState, leg: Leg) -> LearningState:
         """Evaluate the policy with the experience of a leg and improve it, `updates` times.
 
         The same experience serves any policy, because learning is off-policy.
         """
-        return state._replace(learner=self.iteration.update(state.learner, leg.batch))
+        return self._modelled(state._replace(learner=self.iteration.update(state.learner, leg.batch)))
+
+    def _modelled(self, state: LearningState) -> LearningState:
+        """The state with a model, once the flight tells one."""
+        planner, scenario = self.planner, self.env.scenario
+        over = state.learner.settled or state.seconds >= min(planner.model_time_s, planner.max_time_s)
+        if state.known or not over:
+            return state
+        steps = round(planner.model_window_s / scenario.dt)
+        windows = Windows(planner.regressor, scenario.dt, steps, steps, scenario.depth)
+        still = torch.zeros(2, dtype=torch.float64, device=state.trim.device)
+        known = identify_flights(windows, list(state.logs), self.env.vehicle.tau_max, still)
+        if known is None or known.doubtful_inertia(planner.regressor, planner.most_doubt):
+            return state
+        return state._replace(known=known, logs=())
 
     def is_over(self, state: LearningState) -> bool:
         """Whether the weights have settled, or the time is up.
@@ -167,13 +191,14 @@ class Learning:
                 learner.settled and k == last,
                 learner.rows,
                 k == last,
+                state.known is not None,
                 iterate.residual,
                 iterate.condition,
             )
             for k, iterate in enumerate(learner.iterates)
         ]
 
-    def agent(self, weights: Tensor, trim: Tensor, env: Relay | None = None) -> Agent:
+    def agent(self, weights: Tensor, trim: Tensor, env: Relay | None = None, known: Identified | None = None) -> Agent:
         """The agent with given weights.
 
         Args:
@@ -181,10 +206,16 @@ class Learning:
             trim: tau that holds a vehicle at rest, [1 or L, 4].
             env: worlds to fly in, between the same nodes, with the same number of vehicles, or with any number if
                 there is one set of weights; the worlds of learning if None.
+            known: model by which it flies along routes; what is declared of the vehicle if None.
         """
         mission = self.mission if env is None else Mission(env, self.mission.channel, self.mission.weights)
         near = LinkController(mission.targets.frame, LinearActor(self.basis, weights), trim)
-        return self.planner.guidance(mission)(near)
+        tau_max = mission.env.vehicle.tau_max
+        if known is None:
+            model = declared_model(torch.tensor(list(self.planner.inertia_lower)), tau_max)
+        else:
+            model = known.model(self.planner.regressor, tau_max.device)
+        return self.planner.guidance(mission)(near, model)
 
     def _recorder(self, state: LearningState) -> Recorder:
         planner, scenario = self.planner, self.env.scenario

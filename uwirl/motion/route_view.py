@@ -16,6 +16,7 @@ from uwirl.motion.link_frame import LinkFrame
 from uwirl.motion.mission import Mission
 from uwirl.motion.route import MapSettings, Router
 from uwirl.motion.route_tracker import Route, RouteTracker
+from uwirl.motion.vehicle_model import VehicleModel
 from uwirl.motion.way_law import WayLaw
 from uwirl.world.geometry import length, to_body, to_inertial
 from uwirl.world.messages import told_to_all
@@ -130,7 +131,7 @@ class LearnedGeodesic:
     def __call__(self, mission: Mission) -> Lead:
         """Guidance to the targets of a mission."""
 
-        def lead(controller: LinkController) -> RouteAgent:
+        def lead(controller: LinkController, model: VehicleModel | None = None) -> RouteAgent:
             view = self.view(mission.env, mission.cost, controller.frame)
             return RouteAgent(view, controller.actor, controller.trim, mission.env.scenario.dt)
 

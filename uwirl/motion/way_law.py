@@ -8,12 +8,35 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from uwirl.world.geometry import length, to_body, turned_to_inertial, unit, wrapped
 from uwirl.world.vehicle import Moving
+
+
+class OnWay(NamedTuple):
+    """Vehicles on their routes.
+
+    Attributes:
+        state: [B, M].
+        way: directions of the routes, unit vectors, [B, M, 2]; zero at the goal.
+        goal: [B, M, 3], m.
+        distance: from the goal, horizontal, [B, M], m.
+        bearing: of the links, [B, M], rad.
+        link: link cost, [B, M].
+        q: cost rate minus that of the goal, [B, M].
+    """
+
+    state: Moving
+    way: Tensor
+    goal: Tensor
+    distance: Tensor
+    bearing: Tensor
+    link: Tensor
+    q: Tensor
 
 
 @dataclass(frozen=True)
@@ -69,9 +92,13 @@ class WayLaw:
         """Weight of the policy for the last metres, 0 to 1, at a distance from the goal in m."""
         return ((self.far_m - distance) / (self.far_m - self.near_m)).clamp(0.0, 1.0)
 
-    def pace_cost(self, q: Tensor, distance: Tensor) -> Tensor:
-        """The q that sets the speed, from a place's q minus that of the goal, and its distance from the goal, m."""
-        return torch.maximum(q, self.pace_floor * (distance / self.pace_floor_m).square().clamp_max(1.0))
+    def pace_cost(self, q: Tensor, distance: Tensor, floor: Tensor | float | None = None) -> Tensor:
+        """The q that sets the speed, from a place's q minus that of the goal, and its distance from the goal, m.
+
+        `floor` stands for `pace_floor` if given.
+        """
+        least = self.pace_floor if floor is None else floor
+        return torch.maximum(q, least * (distance / self.pace_floor_m).square().clamp_max(1.0))
 
     def drive(self, q: Tensor, R: Tensor, u: Tensor) -> Tensor:
         """sqrt(q / R_b), [...], N: the force along a route u_b [..., 2] for k = 1, before `slowed`.
@@ -138,7 +165,14 @@ class WayLaw:
         return -self.glide_damping * (state.nu[..., 2] + self.glide * error * speed / distance.clamp_min(self.near_m))
 
     def pushed(
-        self, push: Tensor, state: Moving, goal: Tensor, way: Tensor, distance: Tensor, dt: float
+        self,
+        push: Tensor,
+        state: Moving,
+        goal: Tensor,
+        way: Tensor,
+        distance: Tensor,
+        dt: float,
+        progress: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """The push against a current: the integral of missing progress or, near the goal, of the error to the goal.
 
@@ -149,14 +183,16 @@ class WayLaw:
             way: unit vectors, [B, M, 2].
             distance: from the goal, [B, M], m.
             dt: s.
+            progress: speed along the route below which the push grows, [B, M], m/s; `progress_mps` if None.
 
         Returns:
             Surge and sway [B, M, 2], N, and the push after dt.
         """
         velocity = turned_to_inertial(state.nu[..., :2], state.eta[..., 3])
         error = state.position[..., :2] - goal[..., :2]
-        slow = ((velocity * way).sum(-1) < self.progress_mps)[..., None]
-        on_way = self.progress_rate * slow * (self.progress_mps * way - velocity)
+        least = torch.full_like(distance, self.progress_mps) if progress is None else progress
+        slow = ((velocity * way).sum(-1) < least)[..., None]
+        on_way = self.progress_rate * slow * (least[..., None] * way - velocity)
         still = 1.0 + velocity.square().sum(-1, keepdim=True) / self.still_mps**2
         beyond = (1.0 - self.close_m / distance.clamp_min(self.close_m))[..., None]
         at_goal = -self.goal_rate * beyond * error / (1.0 + distance[..., None]) / still

@@ -91,16 +91,19 @@ class MissionFlight:
         """
         count, vehicles = len(records), self.env.scenario.vehicles
         again = torch.linspace(0, count - 1, min(count, FLOWN_AGAIN)).round().long().tolist()
-        iterates = [records[k].actor for k in again]
-        weights = torch.stack([w[:vehicles] for w in (state.start, state.learner.actor, *iterates)])
-        learned = self.evaluator.agent_of_weights(learning, weights, state.trim)
+        iterates, final = [records[k].actor for k in again], state.learner.actor
+        # Iterates fly by what was known of the vehicle at their time.
+        early = sum(not records[k].modelled for k in again)
         ((name, baseline),) = self.baseline(estimate).items()
-        agents = [(baseline, 1), (learned, len(weights))]
-        pair, start, final, flown = self.evaluator.fly_side_by_side(agents, [1, 1, 1, len(iterates)])
+        agents = [(baseline, 1)]
+        for known, actors in ((None, [state.start, *iterates[:early]]), (state.known, [*iterates[early:], final])):
+            weights = torch.stack([w[:vehicles] for w in actors])
+            agents.append((self.evaluator.agent_of_weights(learning, weights, state.trim, known), len(weights)))
+        pair, start, *flown, learned = self.evaluator.fly_side_by_side(agents, [1] * (3 + len(iterates)))
         costs: list[float | None] = [None] * count
-        for k, cost in zip(again, flown.cost.tolist(), strict=True):
-            costs[k] = cost
-        return {"start policy": start, name: pair, self.config.planner.name: final}, costs
+        for k, evaluation in zip(again, flown, strict=True):
+            costs[k] = float(evaluation.cost[0])
+        return {"start policy": start, name: pair, self.config.planner.name: learned}, costs
 
     def settled(self, evaluation: Evaluation) -> bool:
         """Whether 1/C changes by less than epsilon_4 over the last window of the mission."""

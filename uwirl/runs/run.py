@@ -8,7 +8,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +27,13 @@ from uwirl.runs.recorded import recorded, warn
 from uwirl.runs.saving import Checkpoints, Origin
 from uwirl.snr.plausibility import implausible
 from uwirl.study import checkpoint, run_files, run_folder
-from uwirl.study.learning_file import load, other_budget, take_estimate, take_trim, take_weights
+from uwirl.study.learning_file import load, other_budget, take_estimate, take_model, take_trim, take_weights
 from uwirl.study.progress import bar
 from uwirl.study.tensorboard import TensorBoard
 from uwirl.study.warnings import learning_warnings, mission_warnings
+from uwirl.world.agent import Agent
 from uwirl.world.readings import readings_of_each_vehicle
+from uwirl.world.relay import Relay
 
 log = logging.getLogger("uwirl")
 
@@ -173,7 +174,11 @@ def _evaluated(config: Config, folder: Path, path: Path, content: dict[str, Any]
     assert isinstance(planner, IrlPlanner)
     learning = Learning(planner, env, estimate)
     weights = take_weights(path, content, learning.basis, learning.learners)
-    agent_in = partial(learning.agent, weights, take_trim(path, content, learning.learners))
+    trim, known = take_trim(path, content, learning.learners), take_model(path, content, planner.regressor.names)
+
+    def agent_in(worlds: Relay) -> Agent:
+        return learning.agent(weights, trim, worlds, known)
+
     metrics = run_files.estimate_metrics(estimate)
     if config.scenario.layouts is not None:
         return metrics | campaign(config, agent_in, folder)

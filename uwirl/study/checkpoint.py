@@ -12,7 +12,7 @@ import torch
 
 from uwirl.study.atomic_io import read_whole, write_whole
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 # A checkpoint of a few vehicles takes 0.1 MB, its digests 80 bytes each.
 MOST_BYTES, MOST_DIGEST_BYTES = 2 * 10**9, 10**4
 # Another process may be writing a new checkpoint while this one is read.

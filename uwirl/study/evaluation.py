@@ -13,6 +13,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from uwirl.motion.cost import CostWeights
+from uwirl.motion.identification import Identified
 from uwirl.motion.learning import Learning
 from uwirl.motion.mission import Mission
 from uwirl.motion.safety import Unguarded
@@ -243,31 +244,36 @@ class Evaluator:
         some = slices(numbers if groups is None else groups)
         return [first.judge(trajectory.worlds(part), tau[:, part], blocked[part]) for part in some]
 
-    def agent_of_weights(self, learning: Learning, weights: Tensor, trim: Tensor, starts: int = 1) -> Agent:
+    def agent_of_weights(
+        self, learning: Learning, weights: Tensor, trim: Tensor, known: Identified | None, starts: int = 1
+    ) -> Agent:
         """The agent that flies K sets of actor weights, each in Q consecutive copies of the first world.
 
         Args:
             learning: creates the agent.
             weights: one set for all vehicles, [K, 1, n3], or one for each, [K, M, n3].
             trim: tau that holds a vehicle at rest, [1 or at least M, 4]; rows of the first world are used.
+            known: see `Learning.agent`.
             starts: Q.
         """
         K, M = len(weights), self.env.scenario.vehicles
         rows = weights[:, None].expand(K, starts, M, -1).flatten(0, 2)
-        return learning.agent(rows, trim[:M].expand(M, 4).repeat(K * starts, 1), self._first.env)
+        return learning.agent(rows, trim[:M].expand(M, 4).repeat(K * starts, 1), self._first.env, known)
 
-    def cost_of_weights(self, learning: Learning, weights: Tensor, trim: Tensor, starts: Tensor) -> Tensor:
+    def cost_of_weights(
+        self, learning: Learning, weights: Tensor, trim: Tensor, known: Identified | None, starts: Tensor
+    ) -> Tensor:
         """J of K iterates' actor weights from Q starts, all flown as one batch in the first world.
 
         Args:
-            learning, weights, trim: see `agent_of_weights`.
+            learning, weights, trim, known: see `agent_of_weights`.
             starts: eta, [Q, M, 4].
 
         Returns:
             [K, Q].
         """
         K, Q = len(weights), len(starts)
-        agent = self.agent_of_weights(learning, weights, trim, Q)
+        agent = self.agent_of_weights(learning, weights, trim, known, Q)
         return self._first.fly(agent, at_rest(starts.repeat(K, 1, 1))).cost.view(K, Q)
 
     @cached_property

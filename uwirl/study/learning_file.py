@@ -12,6 +12,7 @@ from torch import Tensor
 from uwirl.irl.networks import Basis
 from uwirl.irl.policy_iteration import LearnerState
 from uwirl.motion.experience import FlightState
+from uwirl.motion.identification import Identified, Log
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.study import checkpoint
@@ -20,11 +21,11 @@ from uwirl.world.acoustics import LinkBudget
 from uwirl.world.trajectory import WorldState
 
 # Keys that every checkpoint of a run contains, and those of one that holds only a channel estimate.
-NEEDED = ("config", "config_hash", "overrides", "estimate", "actor", "trim", "features", "iteration")
+NEEDED = ("config", "config_hash", "overrides", "estimate", "actor", "trim", "model", "features", "iteration")
 ESTIMATE = ("config", "config_hash", "estimate", "known_loss_dB")
 # Where link budgets are compared, m.
 DISTANCES_M = (1.0, 100.0, 10_000.0)
-_NUMBERS = ("iteration", "seconds", "weight_change", "converged", "rows", "closes", "residual", "condition")
+_NUMBERS = ("iteration", "seconds", "weight_change", "converged", "rows", "closes", "modelled", "residual", "condition")
 
 
 def load(path: Path, device: str = "cpu", policy: bool = True) -> dict[str, Any]:
@@ -74,6 +75,8 @@ def learner_of(state: LearningState) -> dict[str, Any]:
         "start": state.start,
         "seconds": state.seconds,
         "contacts": state.contacts,
+        "logs": [dict(log._asdict()) for log in state.logs],
+        "known": None if state.known is None else dict(state.known._asdict()),
     }
 
 
@@ -101,7 +104,10 @@ def restore(learning: Learning, content: dict[str, Any]) -> LearningState:
         solver, last.critic, last.actor, saved["average_cost"], saved["rows"], last.iteration, last.converged, ()
     )
     flight = FlightState(WorldState(**saved["flight"]["world"]), saved["flight"]["leg"])
-    return LearningState(flight, learner, saved["trim"], saved["start"], saved["seconds"], saved["contacts"])
+    logs = tuple(Log(**log) for log in saved["logs"])
+    known = None if saved["known"] is None else Identified(**saved["known"])
+    seconds, contacts = saved["seconds"], saved["contacts"]
+    return LearningState(flight, learner, saved["trim"], saved["start"], seconds, contacts, logs, known)
 
 
 def policy_of(
@@ -121,6 +127,7 @@ def policy_of(
         "critic": record.critic,
         "actor": record.actor,
         "trim": state.trim,
+        "model": dict(state.known._asdict()) if record.modelled and state.known else None,
         "features": features_of(learning.basis),
     } | estimate_of(estimate)
 
@@ -213,3 +220,17 @@ def take_trim(path: Path, content: dict[str, Any], learners: int) -> Tensor:
 
 def _shape(tensor: Tensor) -> str:
     return str(tuple(tensor.shape))
+
+
+def take_model(path: Path, content: dict[str, Any], names: Sequence[str]) -> Identified | None:
+    """The model that a policy flies by; None where only what is declared of the vehicle was known.
+
+    Raises:
+        CheckpointError: its parameters are not those of the regressor, by their names.
+    """
+    saved = content["model"]
+    if saved is None:
+        return None
+    if saved["theta"].shape != (len(names),):
+        raise CheckpointError(f"{path}: model of {len(saved['theta'])} parameters, where there are {len(names)}")
+    return Identified(**saved)
