@@ -20,7 +20,14 @@ from uwirl.study.run_folder import held
 
 QUIET = ("logging.figures=false", "logging.tensorboard=false")
 QUICK = ("planner=pd", "experiment=fig5_free", "scenario.duration_s=5", *QUIET)
-LEARNS = ("experiment=fig5_free", "planner.max_time_s=60", "scenario.duration_s=2", "checkpoint.every=1", *QUIET)
+LEARNS = (
+    "experiment=fig5_free",
+    "planner.max_time_s=60",
+    "planner.model_time_s=1",
+    "scenario.duration_s=2",
+    "checkpoint.every=1",
+    *QUIET,
+)
 JOBLIB = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
 # The first saves of LEARNS are smaller, its last is larger.
 MOST_BYTES = 135_000

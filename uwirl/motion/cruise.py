@@ -52,6 +52,8 @@ CLOSE_M = 0.2
 HELD_BACK = 0.5
 # Rates of the push against it, of inertia, 1/s^2.
 PUSH_ON_WAY, PUSH_AT_GOAL = 0.5, 0.14
+# Rate of turns that are slow, rad/s.
+SLOW_TURN = 1e-3
 # Full thrust is taken to give this speed while nothing is known, m/s and rad/s.
 DECLARED_SPEED, DECLARED_RATE = 1.0, 2.0
 
@@ -109,9 +111,10 @@ class Cruise:
 
     @cached_property
     def yaw_damping(self) -> float:
-        """Linear damping in yaw, N m s/rad."""
-        rest, turning = self.inertia.new_zeros(4).double(), self.inertia.new_tensor([0.0, 0.0, 0.0, 1.0]).double()
-        return float(torch.func.jvp(self.model.forces, (rest[None],), (turning[None],))[1][0, 3])
+        """Damping of slow turns, N m s/rad."""
+        rates = self.inertia.new_tensor([[0.0, 0.0, 0.0, -SLOW_TURN], [0.0, 0.0, 0.0, SLOW_TURN]])
+        before, after = self._forces(rates)[:, 3].tolist()
+        return max((after - before) / (2.0 * SLOW_TURN), 0.0)
 
     @cached_property
     def speeds(self) -> Tensor:
@@ -163,7 +166,7 @@ class Cruise:
             near: tells the trim, and the frames in which depth costs.
         """
         psi, nu = seen.state.eta[..., 3], seen.state.nu
-        least = CAPACITY_SHARE * self.cost.minimum
+        least = CAPACITY_SHARE * self.cost.minimum.to(psi)
         q = self.way.pace_cost(seen.q, seen.distance, least)
         Q = q + self.cost.weights.yaw_weight * (1.0 - torch.cos(psi - seen.bearing))
         u = torch.stack(to_body(seen.way[..., 0], seen.way[..., 1], psi), -1)
@@ -200,13 +203,13 @@ class Cruise:
         """Best vertical velocity, [B, M], m/s."""
         error = seen.state.position[..., 2] - seen.goal[..., 2]
         level = torch.cat([seen.state.position[..., :2], seen.goal[..., 2:]], -1)
-        q = (seen.link - link_cost(near.frame, self.cost, level)).clamp_min(0.0)
+        q = (seen.link - link_cost(near.frame, self.cost, level).to(level)).clamp_min(0.0)
         speed = self.vertical.at(self.vertical.speed, self.way.pace_cost(q, error.abs(), least))
         return -speed * (error / CLOSE_M).clamp(-1.0, 1.0)
 
     def _push(self, q: Tensor, speed: Tensor, along: Tensor, wanted: Tensor, now: Tensor, u: Tensor) -> Tensor:
         """f - d, [B, M], N: what accelerates or brakes a vehicle of this speed along its route."""
-        paid, pays = (self.cost.control(drag * drag.new_tensor([1.0, 1.0, 0.0, 1.0])) for drag in (wanted, now))
+        paid, pays = (self.cost.control(drag) - self.cost.R[2] * drag[..., 2].square() for drag in (wanted, now))
         excess = q + pays - (q + paid) / speed * along
         effort = (self.cost.R[:2] * u.square()).sum(-1).clamp_min(torch.finfo(u.dtype).tiny)
         return torch.sign(speed - along) * torch.sqrt(excess.clamp_min(0.0) / effort)

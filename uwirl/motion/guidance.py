@@ -176,7 +176,8 @@ class GeodesicAgent:
         link = link_cost(self.near.frame, self.cost, position)
         q = link + self.tracker.avoidance(route, observation, observation.time) - route.rest_cost
         distance = length(position[..., :2] - goal[..., :2])
-        return OnWay(observation, way, goal, distance, self.near.frame.bearing.expand(psi.shape), link, q)
+        bearing = self.near.frame.bearing.to(psi).expand(psi.shape)
+        return OnWay(observation, way, goal, distance, bearing, link.to(psi), q.to(psi))
 
     def _tuned(self, seen: OnWay) -> Tensor:
         """tau [B, M, 4] along the routes by the constants of `settings`."""

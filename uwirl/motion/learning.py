@@ -63,9 +63,9 @@ class IterationRecord:
         weight_change: relative change of the actor's weights, the largest over the learners.
         converged: whether the change is below epsilon_3.
         rows: rows of experience so far, for each learner.
-        modelled: whether a model has been identified by then.
         closes: whether this is the last iteration of its leg.
         residual, condition: see `uwirl.irl.solvers.Solution`, the largest over the learners; None if not known.
+        modelled: whether a model of the vehicle has been identified by then.
     """
 
     iteration: int
@@ -76,9 +76,9 @@ class IterationRecord:
     converged: bool
     rows: int
     closes: bool
-    modelled: bool = False
     residual: float | None = None
     condition: float | None = None
+    modelled: bool = False
 
 
 class Learning:
@@ -191,9 +191,9 @@ class Learning:
                 learner.settled and k == last,
                 learner.rows,
                 k == last,
-                state.known is not None,
                 iterate.residual,
                 iterate.condition,
+                state.known is not None,
             )
             for k, iterate in enumerate(learner.iterates)
         ]

@@ -66,7 +66,7 @@ class Fossen:
             ],
             -2,
         )
-        heave = nu.new_tensor([0.0, 0.0, 1.0, 0.0])[:, None].expand(*nu.shape, 1)
+        heave = torch.stack([zero, zero, torch.ones_like(u), zero], -1)[..., None]
         return torch.cat([coriolis, torch.diag_embed(nu), torch.diag_embed(nu * nu.abs()), heave], -1)
 
 

@@ -25,7 +25,7 @@ NEEDED = ("config", "config_hash", "overrides", "estimate", "actor", "trim", "mo
 ESTIMATE = ("config", "config_hash", "estimate", "known_loss_dB")
 # Where link budgets are compared, m.
 DISTANCES_M = (1.0, 100.0, 10_000.0)
-_NUMBERS = ("iteration", "seconds", "weight_change", "converged", "rows", "closes", "modelled", "residual", "condition")
+_NUMBERS = ("iteration", "seconds", "weight_change", "converged", "rows", "closes", "residual", "condition", "modelled")
 
 
 def load(path: Path, device: str = "cpu", policy: bool = True) -> dict[str, Any]:
