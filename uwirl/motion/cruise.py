@@ -33,7 +33,7 @@ from uwirl.world.geometry import left_of, to_body, turned_to_body, wrapped
 
 # Angles between bow and route that are compared, speeds in m/s, and cost rates relative to a capacity lost.
 ANGLES = 48
-SPEEDS, SLOWEST, FASTEST = 120, 0.005, 3.0
+SPEEDS, SLOWEST, FASTEST = 240, 0.005, 3.0
 LEVELS, LEAST, MOST = 96, 1e-6, 10.0
 # Share of the thruster limits that steady flight may use.
 USABLE = 0.9
