@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -9,7 +10,6 @@ import torch
 from torch import Tensor
 
 from uwirl.motion.flight_cost import FlightCost
-from uwirl.motion.flight_guesses import guesses
 from uwirl.motion.flight_plan import FlightProblem, Flights, optimise
 from uwirl.motion.guidance import GeodesicAgent, RouteCarry
 from uwirl.motion.link_frame import LinkFrame
@@ -20,9 +20,8 @@ from uwirl.world.observation import Observation
 from uwirl.world.obstacles import Obstacles
 from uwirl.world.scenario import Scenario
 
-# Iterations on all guesses and on the best of them, with nodes twice as far apart, and on the best one; how many the
-# best are.
-FIRST, MIDDLE, LAST, KEPT = 8, 12, 14, 3
+# Iterations of a new plan.
+ITERATIONS = 24
 # A plan whose dynamics are violated by more, or that comes closer to an obstacle than this, is not flown; SI units, m.
 MOST_DEFECT, LEAST_GAP = 0.1, -0.05
 # A vehicle farther from its plan than this begins a new one; one closer than that keeps it, unless obstacles or other
@@ -30,6 +29,8 @@ MOST_DEFECT, LEAST_GAP = 0.1, -0.05
 LOST, CLOSE = 0.5, 0.05
 # Fewer nodes are not worth a new plan.
 LEAST_NODES = 10
+# Longest step of the flight by the law from which a plan begins, s.
+REHEARSED_S = 0.1
 # Vehicles planned together: enough to hide the cost of a call, few enough for the memory.
 BATCH = 32
 
@@ -143,8 +144,11 @@ class PlannedAgent:
     def _state(self, observation: Observation) -> Tensor:
         """x [B M, 8] of vehicles, with nu through the water."""
         eta, nu = observation.eta.flatten(0, 1).double(), observation.nu.flatten(0, 1).double()
-        water = turned_to_body(torch.nn.functional.pad(self.model.current.expand(len(eta), 2), (0, 2)), eta[:, 3])
-        return torch.cat([eta, nu - water], -1)
+        return torch.cat([eta, nu - self._water(eta[:, 3])], -1)
+
+    def _water(self, psi: Tensor) -> Tensor:
+        """Velocity of the water in body axes, [B M, 4], at headings [B M]."""
+        return turned_to_body(torch.nn.functional.pad(self.model.current.expand(len(psi), 2), (0, 2)), psi)
 
     def _replanned(self, carry: PlanCarry, observation: Observation) -> PlanCarry:
         """The carry with what is known now.
@@ -189,33 +193,39 @@ class PlannedAgent:
         return carry._replace(x=x, effort=effort, gain=gain, flown=flown)
 
     def _planned(self, rows: Tensor, route: Route, observation: Observation, nodes: int) -> tuple[Flights, Tensor]:
-        """Plans of some vehicles from guesses on their ways, and whether each is good enough to be flown."""
-        if len(rows) > BATCH:
-            parts = [self._planned(some, route, observation, nodes) for some in rows.split(BATCH)]
-            return Flights.joined([plan for plan, _ in parts]), torch.cat([good for _, good in parts])
-        fine, start = self._problem(rows, route, observation), self._state(observation)[rows]
-        coarse = replace(fine, cost=replace(fine.cost, dt=2.0 * fine.cost.dt))
-        goal = route.goal.flatten(0, 1)[rows]
-        x, effort = guesses(coarse, start, self._ways(rows, route, observation), goal[:, 2].double(), nodes // 2 + 1)
-        index = torch.arange(len(rows), device=rows.device)
-        of = index.repeat_interleave(x.shape[1] // len(rows))
-        flights = optimise(coarse.select(of), start[of], x, effort, FIRST)
-        of, flights = _best(flights, index, KEPT)
-        flights = optimise(coarse.select(of), start[of], flights.x, flights.effort, MIDDLE)
-        _, best = _best(flights, index, 1)
-        x = torch.stack([best.x[:-1], 0.5 * (best.x[:-1] + best.x[1:])], 1).flatten(0, 1)
-        x = torch.cat([x, best.x[-1:]])[:nodes]
-        plan = optimise(fine, start, x, best.effort.repeat_interleave(2, 0)[: nodes - 1], LAST)
-        near = (fine.cost.gap(plan.x) > LEAST_GAP) | (fine.cost.gap(plan.x[:1]) <= LEAST_GAP)
-        good = plan.J.isfinite() & (plan.defect < MOST_DEFECT) & near & ~route.blocked.flatten()[rows]
-        return plan, good
+        """Plans of some vehicles, which begin as flown by the law, and whether each is good enough to be flown."""
+        x, effort = self._rehearsed(route, observation, nodes)
+        plans, found = [], []
+        for some in rows.split(BATCH):
+            problem, start = self._problem(some, route, observation), self._state(observation)[some]
+            plan = optimise(problem, start, x[:, some], effort[:, some], ITERATIONS)
+            near = (problem.cost.gap(plan.x) > LEAST_GAP) | (problem.cost.gap(plan.x[:1]) <= LEAST_GAP)
+            plans.append(plan)
+            found.append(plan.J.isfinite() & (plan.defect < MOST_DEFECT) & near & ~route.blocked.flatten()[some])
+        return Flights.joined(plans), torch.cat(found)
 
-    def _ways(self, rows: Tensor, route: Route, observation: Observation) -> Tensor:
-        """Polylines from vehicles to their goals on the map, [K, P, 2], m."""
-        places = observation.position[..., :2].double().flatten(0, 1)
-        shared = len(route.plan.goal)
-        ways = route.plan.map.path(places.view(-1, shared, 2).transpose(0, 1))
-        return ways.transpose(0, 1).flatten(0, 1)[rows]
+    def _rehearsed(self, route: Route, observation: Observation, nodes: int) -> tuple[Tensor, Tensor]:
+        """What the reactive agent would fly by the model: x [nodes, B M, 8] and effort [nodes - 1, B M, 4].
+
+        Obstacles and other vehicles stay where they are.
+        """
+        parts = math.ceil(self.settings.node_s / REHEARSED_S - 1e-9)
+        dt, cruise = self.settings.node_s / parts, self.reactive.cruise
+        reactive = replace(self.reactive, dt=dt, cruise=cruise and replace(cruise, dt=dt))
+        carry = RouteCarry.begin(route, observation.eta)
+        x, limits = self._state(observation), self.tau_max.double()
+        xs, efforts = [x], []
+        for _ in range(parts * (nodes - 1)):
+            nu = x[:, 4:] + self._water(x[:, 3])
+            eta, nu = (part.to(observation.eta).view(observation.eta.shape) for part in (x[:, :4], nu))
+            tau, carry = reactive.act(carry, observation._replace(eta=eta, nu=nu))
+            effort = tau.flatten(0, 1).double().clamp(-limits, limits) - self.model.trim
+            after = self.model.after(x, effort, dt)
+            # A model so poor that its flight ends nowhere makes no plan.
+            x = torch.where(after.isfinite().all(-1, keepdim=True), after, x)
+            xs.append(x)
+            efforts.append(effort)
+        return torch.stack(xs[::parts]), torch.stack(efforts).unflatten(0, (nodes - 1, parts)).mean(1)
 
     def _problem(self, rows: Tensor, route: Route, observation: Observation) -> FlightProblem:
         """What vehicles, by their numbers among the B M, plan from now on."""
@@ -231,14 +241,6 @@ class PlannedAgent:
         cost = self.reactive.cost.of(rows)
         flights = FlightCost(cost, frame, obstacles, begin, settings.node_s, clearance, settings.braking)
         return FlightProblem(self.model.select(torch.zeros_like(rows)), flights, self.tau_max.double())
-
-
-def _best(flights: Flights, index: Tensor, kept: int) -> tuple[Tensor, Flights]:
-    """The best of several flights of each of K problems: numbers of their problems, and themselves."""
-    several = len(flights.J) // len(index)
-    price = torch.where(flights.J.isfinite(), flights.J + flights.defect, torch.inf).view(-1, several)
-    best = price.topk(min(kept, several), 1, largest=False).indices
-    return index.repeat_interleave(best.shape[1]), flights.select((index[:, None] * several + best).flatten())
 
 
 def _as_obstacles(observation: Observation, radius: float) -> Obstacles:

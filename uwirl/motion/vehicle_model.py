@@ -112,6 +112,14 @@ class VehicleModel:
         acceleration = (self.inverse_inertia @ (effort + self.trim - self.forces(x[..., 4:]))[..., None])[..., 0]
         return torch.cat([drift, x[..., 6:8], acceleration], -1)
 
+    def after(self, x: Tensor, effort: Tensor, dt: float) -> Tensor:
+        """x [..., K, 8] after dt of held effort [..., K, 4], by a classical Runge-Kutta step."""
+        k1 = self.rate(x, effort)
+        k2 = self.rate(x + 0.5 * dt * k1, effort)
+        k3 = self.rate(x + 0.5 * dt * k2, effort)
+        k4 = self.rate(x + dt * k3, effort)
+        return x + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
     def jacobian(self, x: Tensor) -> Tensor:
         """Derivative of `rate` by x, [..., K, 8, 8]."""
         psi, nu = x[..., 3], x[..., 4:]
