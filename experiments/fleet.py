@@ -35,6 +35,9 @@ from uwirl.world.truth import truth_of
 
 log = logging.getLogger("uwirl")
 
+# Panels of the figure.
+MOST_DRAWN = 9
+
 
 def layouts_of(config: Any, settings: DictConfig) -> Relay:
     """The layouts, for the vehicle of a configuration."""
@@ -92,7 +95,8 @@ def main(settings: DictConfig) -> None:
                 flight = rival.fly(worlds, build.make_cost(rival.config.cost))
                 metrics |= told(name, title, flight)
                 flown[title] = worlds, flight
-    leave(metrics, draw(flown, settings.drawn))
+    shown = dict(list(flown.items())[:MOST_DRAWN])
+    leave(metrics, draw(shown, min(settings.drawn, settings.layouts - 1)))
 
 
 if __name__ == "__main__":
