@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,8 @@ def assert_same(found: Any, expected: Any) -> None:
     for leaf, other in zip(leaves, others, strict=True):
         if isinstance(other, Tensor):
             torch.testing.assert_close(leaf, other, rtol=0.0, atol=0.0, equal_nan=True)
+        elif is_dataclass(other):
+            assert_same(vars(leaf), vars(other))
         else:
             assert leaf == other
 

@@ -21,6 +21,7 @@ from uwirl.snr.estimators import Estimator, estimate_each_vehicle
 from uwirl.world.agent import Agent
 from uwirl.world.readings import Readings, readings_of_each_vehicle
 from uwirl.world.relay import Relay
+from uwirl.world.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -46,11 +47,19 @@ class Estimated(NamedTuple):
 
 
 class Improved(NamedTuple):
-    """The end of a leg of the learning flight; `records` has one entry for each policy iteration after it."""
+    """The end of a leg of the learning flight.
+
+    Attributes:
+        learning: the problem.
+        state: after the leg.
+        records: one for each policy iteration after it.
+        flown: the leg.
+    """
 
     learning: Learning
     state: LearningState
     records: list[IterationRecord]
+    flown: Trajectory
 
 
 class Modelled(NamedTuple):
@@ -102,8 +111,9 @@ def algorithm_1(env: Relay, estimator: Estimator, planner: Planner, start: Start
     learning = Learning(planner, env, estimate)
     state = start.state(learning) if start.state else learning.init(start.weights and start.weights(learning))
     while not learning.is_over(state):
-        state = learning.step(state)
-        yield Improved(learning, state, learning.records(state))
+        leg, state = learning.fly(state)
+        state = learning.improve(state, leg)
+        yield Improved(learning, state, learning.records(state), leg.flown)
     yield Planned(
         lambda worlds: learning.agent(state.learner.actor, state.trim, worlds, state.known), (learning, state)
     )

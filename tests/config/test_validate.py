@@ -255,7 +255,7 @@ ALLOWED = [
     "solver.ridge=0 solver.prior=0",
     "solver=rls_forgetting solver.kappa=1",
     "solver=rls_paper solver.kappa=1.01",
-    "experience.leg_s=0.5",
+    "experience.leg_s=1",
     "experience.excitation_strength=[0.5,0.5]",
     "experience.near_share=0",
     "experience.near_share=1",

@@ -25,7 +25,7 @@ BasisName = StrEnum("BasisName", ["link_frame", "geodesic", "error_quadratic", "
 SafetyName = StrEnum("SafetyName", ["energy", "barrier", "none"])
 GuidanceName = StrEnum("GuidanceName", ["straight", "geodesic", "unit_cost"])
 SolverName = StrEnum("SolverName", ["z_rls", "batch", "bounded_batch", "rls_paper", "rls_forgetting"])
-ExperienceName = StrEnum("ExperienceName", ["virtual_links", "parallel"])
+ExperienceName = StrEnum("ExperienceName", ["virtual_links", "parallel", "mission"])
 PlannerName = StrEnum("PlannerName", ["irl", "identified", "pd", "potential_field", "trajectory_optimization"])
 
 Avoidance = StrEnum("Avoidance", ["smooth", "printed"])
@@ -182,6 +182,8 @@ class ExperienceConfig(MadeConfig, family="experience"):
     name: str = MISSING  # virtual_links | parallel
     leg_s: float = MISSING  # s; flown towards one virtual link
     max_time_s: float = MISSING  # s; what planner.max_time_s is unless it is set
+    model_time_s: float = MISSING  # s; what planner.model_time_s is unless it is set
+    model_window_s: float = MISSING  # s; what planner.model_window_s is unless it is set
     excitation_rms: list[float] = ruled(numbers(4, positive))  # N, N, N, N m; of the probing thrust
     excitation_strength: list[float] = ruled(low_high)  # [low, high] of the factor on it that each leg draws
     excitation_band_rad_s: list[float] = ruled(low_high)  # rad/s; [low, high] of its sines
@@ -196,6 +198,11 @@ class ExperienceConfig(MadeConfig, family="experience"):
 class VirtualLinksConfig(ExperienceConfig, names=(ExperienceName.virtual_links,), file="virtual_links_schema"):
     relabel: int = ruled(at_least(0))  # further virtual links that each leg is seen from; 0 for none
     relabel_time_s: float = ruled(positive)  # s; after which what was seen so counts 1/e of what was flown
+
+
+@dataclass
+class MissionsConfig(VirtualLinksConfig, names=(ExperienceName.mission,), file="mission_schema"):
+    pass
 
 
 @dataclass
@@ -237,6 +244,8 @@ class IdentifiedConfig(PlannerConfig, names=(PlannerName.identified,), file="ide
     max_time_s: float = ruled(positive)  # s; of the flight that identifies the model, the hover included
     window_s: float = MISSING  # s; of the integrals of one row
     most_doubt: float = ruled(positive)  # largest standard error of an inertia, as a share of it
+    # kg, kg, kg, kg m^2; no more than the vehicle has, added mass included
+    inertia_lower: list[float] = ruled(numbers(4, positive))
     node_s: float = ruled(positive)  # s; between the nodes of a plan
     replan_s: float = MISSING  # s; between plans
     refine: int = ruled(at_least(0))  # iterations of a plan that begins with the one before

@@ -23,6 +23,7 @@ from uwirl.config.motion_schema import (
     GuardConfig,
     IdentifiedConfig,
     IrlConfig,
+    MissionsConfig,
     PdConfig,
     TrajectoryOptimizationConfig,
     VirtualLinksConfig,
@@ -260,7 +261,8 @@ def _identifier(key: str, planner: IdentifiedConfig, config: Config) -> Problems
             yield name, problem
     if planner.node_s < dt:
         yield f"{key}.node_s", f"must be at least scenario.dt_s = {dt:g}, got {planner.node_s:g}"
-    if planner.max_time_s < planner.calibration_s + experience.leg_s:
+    hovers = not isinstance(experience, MissionsConfig)
+    if hovers and planner.max_time_s < planner.calibration_s + experience.leg_s:
         yield f"{key}.max_time_s", f"{planner.max_time_s:g} s is shorter than the calibration hover and one leg"
     if not isinstance(config.guidance, GeodesicConfig):
         yield "guidance.name", "planner=identified plans along the ways of guidance=geodesic"
@@ -281,9 +283,10 @@ def _learner(key: str, planner: IrlConfig, config: Config) -> Problems:
     for axis, inertia, share in zip(AXES, planner.inertia_lower, LEAST_INERTIA_PER_S, strict=True):
         if inertia < share * dt:
             yield f"{key}.inertia_lower", f"{axis} must be at least {share * dt:.3g}, got {inertia:g}"
-    if experience.leg_s < planner.window_s:
-        yield "experience.leg_s", f"{experience.leg_s:g} s is shorter than planner.window_s"
-    if planner.max_time_s < planner.calibration_s + experience.leg_s:
+    if experience.leg_s < max(planner.window_s, planner.model_window_s):
+        yield "experience.leg_s", f"{experience.leg_s:g} s is shorter than planner.window_s or model_window_s"
+    hovers = not isinstance(experience, MissionsConfig)
+    if hovers and planner.max_time_s < planner.calibration_s + experience.leg_s:
         yield f"{key}.max_time_s", f"{planner.max_time_s:g} s is shorter than the calibration hover and one leg"
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from torch import Tensor
 
@@ -63,14 +61,7 @@ def calibration_hover(
             f"{float(before[:quarter].mean()):.3g} to {float(after[-quarter:].mean()):.3g} in "
             f"{len(flights) * seconds:g} s; start from a damped policy (planner.start_gain > 0)"
         )
-    return _joined(flights), trim
-
-
-def _joined(flights: list[Trajectory]) -> Trajectory:
-    """Flights, each of which continues the one before, as one."""
-    components = torch.cat([flights[0].components, *(flight.components[1:] for flight in flights[1:])])
-    tau = torch.cat([flight.tau for flight in flights])
-    return replace(flights[-1], components=components, tau=tau, first_step=flights[0].first_step)
+    return Trajectory.joined(flights), trim
 
 
 def _nearby(env: Relay, eta: Tensor, cost: RelayCost) -> LinkFrame:

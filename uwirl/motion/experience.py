@@ -9,9 +9,9 @@ the arena, and segments are not relabelled.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -20,11 +20,10 @@ from uwirl.irl.bellman import Segment
 from uwirl.irl.networks import LinearActor
 from uwirl.irl.solvers import Batch
 from uwirl.motion.excitation import ArenaDraw, Excitation, PoseDraw
-from uwirl.motion.identification import Log
-from uwirl.motion.linear_agent import LinearAgent
-from uwirl.motion.link_frame import relabel
+from uwirl.motion.linear_agent import Excited, LinearAgent
+from uwirl.motion.link_frame import LinkFrame, relabel
 from uwirl.motion.recorder import Recorder
-from uwirl.world.agent import Guard, Guarded
+from uwirl.world.agent import Agent, Guard, Guarded
 from uwirl.world.obstacles import contacts
 from uwirl.world.random import RandomStreams
 from uwirl.world.relay import Relay
@@ -41,10 +40,26 @@ class FlightState(NamedTuple):
     Attributes:
         world: state of the worlds.
         leg: number of the next leg.
+        carry: memory of the agent that flies on; None to begin with the next leg.
     """
 
     world: WorldState
     leg: int
+    carry: Any = None
+
+
+class Pilot(NamedTuple):
+    """Who flies the mission itself.
+
+    Attributes:
+        agent: with the newest policy.
+        frame: links of the mission.
+        probing: whether the vehicle is still to be excited.
+    """
+
+    agent: Agent
+    frame: LinkFrame
+    probing: bool
 
 
 class Leg(NamedTuple):
@@ -55,14 +70,14 @@ class Leg(NamedTuple):
         after: state of the flight after it.
         seconds: its vehicle time, s.
         contacts: number of contacts with obstacles.
-        log: what was flown, of all vehicles.
+        flown: the flight itself.
     """
 
     batch: Batch
     after: FlightState
     seconds: float
     contacts: int
-    log: Log
+    flown: Trajectory
 
 
 def contacts_while(env: Relay, flown: Trajectory) -> int:
@@ -77,12 +92,28 @@ class ExperienceSource(Protocol):
         """L, the number of sets of weights that learn from it."""
         ...
 
-    def begin(self, hover: Trajectory) -> FlightState:
-        """State of the flight after the calibration hover."""
+    @property
+    def hovers(self) -> bool:
+        """Whether the vehicle hovers first, to measure its trim."""
         ...
 
-    def fly(self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard) -> Leg:
-        """Fly the next leg; it depends only on the state of the flight and the actor's weights."""
+    def begin(self, world: WorldState) -> FlightState:
+        """State of the flight at its beginning, after the calibration hover if there is one."""
+        ...
+
+    def fly(
+        self,
+        env: Relay,
+        flight: FlightState,
+        actor: LinearActor,
+        recorder: Recorder,
+        guard: Guard,
+        pilot: Callable[[], Pilot],
+    ) -> Leg:
+        """Fly the next leg; it depends only on the state of the flight and the actor's weights.
+
+        `pilot` is asked for by sources that fly the mission.
+        """
         ...
 
 
@@ -93,6 +124,7 @@ class Exploration:
     Attributes:
         leg_s: time between two virtual links, s.
         max_time_s: sensible duration of such a flight, s; `planner.max_time_s` refers to it.
+        model_time_s, model_window_s: sensible times for the identification from it, s; likewise.
         excitation_rms, excitation_strength, excitation_band_rad_s: see Excitation.
         across_share: half width of starts across the link, as a fraction of that along it.
         up_m, yaw_rad, near_share, near_scale: see PoseDraw.
@@ -100,6 +132,8 @@ class Exploration:
 
     leg_s: float = 5.0
     max_time_s: float = 600.0
+    model_time_s: float = 64.0
+    model_window_s: float = 1.0
     excitation_rms: Sequence[float] = (36.0, 36.0, 18.0, 3.0)
     excitation_strength: Sequence[float] = (0.2, 1.0)
     excitation_band_rad_s: Sequence[float] = (0.2, 4.2)
@@ -108,6 +142,11 @@ class Exploration:
     yaw_rad: float = 2.0
     near_share: float = 0.2
     near_scale: float = 0.15
+
+    @property
+    def hovers(self) -> bool:
+        """Flights for learning alone begin with a hover."""
+        return True
 
     @property
     def excitation(self) -> Excitation:
@@ -167,15 +206,27 @@ class VirtualLinks(Exploration):
         """Each vehicle of each world learns its own weights, L = B M."""
         return env.worlds * env.scenario.vehicles
 
-    def begin(self, hover: Trajectory) -> FlightState:
+    def begin(self, world: WorldState) -> FlightState:
         """The flight continues from the end of the hover."""
-        return FlightState(hover.end.detached(), 0)
+        return FlightState(world.detached(), 0)
 
-    def fly(self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard) -> Leg:
+    def fly(
+        self,
+        env: Relay,
+        flight: FlightState,
+        actor: LinearActor,
+        recorder: Recorder,
+        guard: Guard,
+        pilot: Callable[[], Pilot],
+    ) -> Leg:
         """Fly the next leg with all vehicles."""
+        draw = flight.leg * (1 + self.relabel)
+        return self._learned(env, flight, *self.flown(env, flight, draw, actor, recorder, guard), recorder)
+
+    def _learned(self, env: Relay, flight: FlightState, flown: Trajectory, x: Tensor, recorder: Recorder) -> Leg:
+        """What a flown leg teaches, x [n + 1, L, d]."""
         dt, leg = env.scenario.dt, flight.leg
         draw = leg * (1 + self.relabel)
-        flown, x = self.flown(env, flight, draw, actor, recorder, guard)
         weight = math.exp(-(leg + 1) * self.leg_s / self.relabel_time_s) if self.relabel else 0.0
         relabelled = None
         # Relabelled windows with a weight below 0.001 have no effect and are not computed.
@@ -186,7 +237,45 @@ class VirtualLinks(Exploration):
             relabelled = Segment(*(torch.cat(parts) for parts in zip(*segments, strict=True)))
         batch = Batch((recorder.segment(x, flown, dt), relabelled), (1.0, weight))
         after = FlightState(flown.end.detached(), leg + 1)
-        return Leg(batch, after, self.leg_s, contacts_while(env, flown), Log.of(flown))
+        return Leg(batch, after, self.leg_s, contacts_while(env, flown), flown)
+
+
+@dataclass(frozen=True)
+class Missions(VirtualLinks):
+    """The mission itself is the experience: from its start, with nothing known, one mission after the other.
+
+    Thrust is excited until a model of the vehicle is known. The agent's memory passes from leg to leg.
+    """
+
+    @property
+    def hovers(self) -> bool:
+        """The mission begins at once."""
+        return False
+
+    def fly(
+        self,
+        env: Relay,
+        flight: FlightState,
+        actor: LinearActor,
+        recorder: Recorder,
+        guard: Guard,
+        pilot: Callable[[], Pilot],
+    ) -> Leg:
+        """Fly the next seconds of a mission."""
+        agent, frame, probing = pilot()
+        world, carry, dt = flight.world, flight.carry, env.scenario.dt
+        steps, first = round(self.leg_s / dt), int(world.step[0])
+        if first and first % env.scenario.steps == 0:
+            world, carry = env.start()._replace(step=world.step), None
+        steps = min(steps, env.scenario.steps - first % env.scenario.steps)
+        if probing:
+            B, M = world.vehicles.eta.shape[:2]
+            wave = self.excitation.draw(env.streams, M, flight.leg, steps, dt).to(world.components)
+            agent = Excited(agent, wave.view(steps, B, M, 4), first)
+        flown = env.rollout(Guarded(agent, guard), world, steps, carry)
+        x = recorder.basis.view(env, frame).along((), flown).flatten(1, 2).double()
+        leg = self._learned(env, flight, flown, x, recorder)
+        return leg._replace(after=leg.after._replace(carry=flown.carry), seconds=steps * dt)
 
 
 @dataclass(frozen=True)
@@ -203,14 +292,22 @@ class Parallel(Exploration):
         """One learner for all worlds, L = 1."""
         return 1
 
-    def begin(self, hover: Trajectory) -> FlightState:
+    def begin(self, world: WorldState) -> FlightState:
         """All worlds begin at the end of the first vehicle's hover."""
-        first = hover.end
+        first = world
         state = first.components[:, :1, :1].expand(-1, self.worlds, 1).contiguous()
         target = first.target[:1, :1].expand(self.worlds, 1, 3)
         return FlightState(WorldState(state, first.step[:1].expand(self.worlds).clone(), target), 0)
 
-    def fly(self, env: Relay, flight: FlightState, actor: LinearActor, recorder: Recorder, guard: Guard) -> Leg:
+    def fly(
+        self,
+        env: Relay,
+        flight: FlightState,
+        actor: LinearActor,
+        recorder: Recorder,
+        guard: Guard,
+        pilot: Callable[[], Pilot],
+    ) -> Leg:
         """Fly the next leg in all worlds; their vehicle seconds add up."""
         seed = env.streams.seed
         streams = RandomStreams(seed[:1].expand(self.worlds), torch.arange(self.worlds, device=seed.device))
@@ -219,4 +316,4 @@ class Parallel(Exploration):
         windows = recorder.segment(x, flown, env.scenario.dt)
         pooled = Segment(*(part.flatten(0, 1).unsqueeze(1) for part in windows))
         after, seconds = FlightState(flown.end.detached(), flight.leg + 1), self.worlds * self.leg_s
-        return Leg(Batch((pooled,), (1.0,)), after, seconds, contacts_while(env, flown), Log.of(flown))
+        return Leg(Batch((pooled,), (1.0,)), after, seconds, contacts_while(env, flown), flown)

@@ -13,6 +13,7 @@ errors allow for residuals that differ in size and that windows share (Newey and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -144,6 +145,12 @@ class Log(NamedTuple):
     def of(cls, flown: Trajectory) -> Log:
         """All vehicles of a flight, which are alike."""
         return cls(*(x.double().flatten(1, 2) for x in (flown.states.eta, flown.states.nu, flown.tau)))
+
+    @classmethod
+    def joined(cls, logs: Sequence[Log]) -> Log:
+        """Logs, each of which continues the one before, as one."""
+        eta, nu = (torch.cat([logs[0][k], *(log[k][1:] for log in logs[1:])]) for k in (0, 1))
+        return cls(eta, nu, torch.cat([log.tau for log in logs]))
 
     def through(self, current: Tensor) -> Log:
         """The same with nu through water that moves at a current [2], m/s."""

@@ -14,7 +14,7 @@ from uwirl.irl.policy_iteration import InsufficientDataError, LearnerState, Poli
 from uwirl.irl.solvers import Bounds
 from uwirl.motion.calibration import calibration_hover
 from uwirl.motion.cruise import declared_model
-from uwirl.motion.experience import FlightState, Leg, contacts_while
+from uwirl.motion.experience import FlightState, Leg, Pilot, contacts_while
 from uwirl.motion.features import MotionBasis
 from uwirl.motion.identification import Identified, Log, Windows, identify_flights
 from uwirl.motion.irl_settings import IrlSettings
@@ -25,6 +25,9 @@ from uwirl.motion.safety import EnergyGuard, Limits
 from uwirl.snr.estimate import ChannelEstimate
 from uwirl.world.agent import Agent
 from uwirl.world.relay import Relay
+
+# Vehicle time until which a model that is flown already is identified more exactly, s.
+REFINED_S = 60.0
 
 
 class LearningState(NamedTuple):
@@ -119,12 +122,15 @@ class Learning:
             weights = (planner.start_gain * self.basis.start_weights()).repeat(self.learners, 1)
         # Weights are float64 whatever the environment's dtype.
         start = weights.to(device, copy=True)
+        critic = LinearCritic(self.basis, self.learners).to(device)
+        learner = self.iteration.init(start, critic.weight)
+        if not planner.experience.hovers:
+            flight, trim = planner.experience.begin(self.env.start()), start.new_zeros(self.learners, 4)
+            return LearningState(flight, learner, trim, start, 0.0, 0)
         hovering = self.basis.hovering(start)
         hover, trim = calibration_hover(self.env, hovering, self.mission.cost, planner.calibration_s, self.guard)
         trim = trim.mean(0, keepdim=True) if self.learners == 1 else trim
-        critic = LinearCritic(self.basis, self.learners).to(device)
-        learner = self.iteration.init(start, critic.weight)
-        flight = planner.experience.begin(hover)
+        flight = planner.experience.begin(hover.end)
         seconds, contacts = float(hover.time[-1]), contacts_while(self.env, hover)
         return LearningState(flight, learner, trim, start, seconds, contacts, (Log.of(hover),))
 
@@ -136,8 +142,17 @@ class Learning:
     def fly(self, state: LearningState) -> tuple[Leg, LearningState]:
         """Fly the next leg with the newest weights; the returned state has not learned from it yet."""
         actor = LinearActor(self.basis, state.learner.actor)
-        leg = self.planner.experience.fly(self.env, state.flight, actor, self._recorder(state), self.guard)
-        contacts, logs = state.contacts + leg.contacts, state.logs if state.known else (*state.logs, leg.log)
+
+        def pilot() -> Pilot:
+            agent = self.agent(state.learner.actor, state.trim, known=state.known)
+            return Pilot(agent, self.mission.targets.frame, state.known is None)
+
+        leg = self.planner.experience.fly(self.env, state.flight, actor, self._recorder(state), self.guard, pilot)
+        contacts, logs = state.contacts + leg.contacts, state.logs
+        if self._identifies(state):
+            logs = (*logs, Log.of(leg.flown))
+            # Without a hover the logs are of one flight, which windows may cross.
+            logs = logs if self.planner.experience.hovers else (Log.joined(logs),)
         after = state._replace(flight=leg.after, seconds=state.seconds + leg.seconds, contacts=contacts, logs=logs)
         return leg, after
 
@@ -152,7 +167,7 @@ class Learning:
         """The state with a model, once the flight tells one."""
         planner, scenario = self.planner, self.env.scenario
         over = state.learner.settled or state.seconds >= min(planner.model_time_s, planner.max_time_s)
-        if state.known or not over:
+        if not (self._identifies(state) and over):
             return state
         steps = round(planner.model_window_s / scenario.dt)
         windows = Windows(planner.regressor, scenario.dt, steps, steps, scenario.depth)
@@ -160,7 +175,14 @@ class Learning:
         known = identify_flights(windows, list(state.logs), self.env.vehicle.tau_max, still)
         if known is None or known.doubtful_inertia(planner.regressor, planner.most_doubt):
             return state
-        return state._replace(known=known, logs=())
+        if planner.experience.hovers:
+            return state._replace(known=known, logs=())
+        trim = known.model(planner.regressor, state.trim.device).trim.expand_as(state.trim)
+        return state._replace(known=known, trim=trim, logs=() if state.seconds >= REFINED_S else state.logs)
+
+    def _identifies(self, state: LearningState) -> bool:
+        """Whether a model is still to be found, or found more exactly."""
+        return state.known is None or bool(state.logs)
 
     def is_over(self, state: LearningState) -> bool:
         """Whether the weights have settled, or the time is up.

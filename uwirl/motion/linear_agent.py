@@ -9,6 +9,7 @@ from torch import Tensor
 
 from uwirl.irl.networks import LinearActor
 from uwirl.motion.link_frame import LinkFrame
+from uwirl.world.agent import Agent
 from uwirl.world.observation import Observation
 from uwirl.world.trajectory import Trajectory
 from uwirl.world.vehicle import Moving
@@ -87,6 +88,31 @@ class LinearAgent:
         tau = linear_control(self.actor, self.trim, x)
         if self.excitation is None:
             return tau, carry
+        # Indexed by a tensor: a number would first have to be copied from the device.
+        return tau + self.excitation.index_select(0, observation.step[:1] - self.first_step)[0], carry
+
+
+@dataclass(frozen=True)
+class Excited:
+    """An agent whose control an excitation is added to.
+
+    Attributes:
+        agent: any.
+        excitation: added at each step, [n, B, M, 4].
+        first_step: step of the first excitation.
+    """
+
+    agent: Agent
+    excitation: Tensor
+    first_step: int
+
+    def init(self, observation: Observation) -> Any:
+        """The agent's carry."""
+        return self.agent.init(observation)
+
+    def act(self, carry: Any, observation: Observation) -> tuple[Tensor, Any]:
+        """tau [B, M, 4] and the next carry."""
+        tau, carry = self.agent.act(carry, observation)
         # Indexed by a tensor: a number would first have to be copied from the device.
         return tau + self.excitation.index_select(0, observation.step[:1] - self.first_step)[0], carry
 

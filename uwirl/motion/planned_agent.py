@@ -108,7 +108,8 @@ class PlannedAgent:
         """Plan the whole flight."""
         begun = self.reactive.init(observation)
         rows = torch.arange(observation.eta[..., 0].numel(), device=observation.eta.device)
-        nodes = round(self.scenario.duration / self.settings.node_s) + 1
+        left = self.scenario.duration - float(observation.time.max())
+        nodes = max(round(left / self.settings.node_s) + 1, LEAST_NODES)
         plan, good = self._planned(rows, begun.route, observation, nodes)
         return PlanCarry(begun.route, begun.push, observation.step, good, plan.x, plan.effort, plan.gain)
 

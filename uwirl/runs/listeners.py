@@ -11,6 +11,7 @@ from uwirl.algorithm import Estimated, Event, Improved, Modelled, Planned
 from uwirl.motion.identified_planner import Learned
 from uwirl.motion.learning import IterationRecord
 from uwirl.study.tensorboard import TensorBoard
+from uwirl.world.trajectory import Trajectory
 
 log = logging.getLogger("uwirl")
 
@@ -64,6 +65,29 @@ class Narrator:
         elif record.seconds >= self.next_line_s:
             log.info("  learning: %s", text)
             self.next_line_s = record.seconds + 60.0
+
+
+class Legs:
+    """Keeps what was flown while learning, if that was a mission.
+
+    Attributes:
+        flown: legs of the first mission, which begins at step 0; none of other flights.
+    """
+
+    def __init__(self) -> None:
+        self.flown: list[Trajectory] = []
+
+    def __call__(self, event: Event) -> None:
+        """Keep a leg."""
+        leg = None
+        match event:
+            case Improved(learning=learning, flown=flown) if not learning.planner.experience.hovers:
+                leg = flown
+            case Modelled(learned=Learned(in_mission=True, flown=flown)):
+                leg = flown
+        follows = self.flown[-1].first_step + len(self.flown[-1].tau) if self.flown else 0
+        if leg is not None and leg.first_step == follows:
+            self.flown.append(leg)
 
 
 class Board:

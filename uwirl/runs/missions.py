@@ -28,6 +28,7 @@ from uwirl.study.warnings import campaign_warnings, flight_warnings
 from uwirl.world.agent import Agent
 from uwirl.world.chunks import at_once
 from uwirl.world.relay import Relay
+from uwirl.world.trajectory import Trajectory
 
 log = logging.getLogger("uwirl")
 
@@ -71,6 +72,16 @@ class MissionFlight:
         """The missions of agents by their names, flown as one batch."""
         flown = self.evaluator.fly_side_by_side([(agent, 1) for agent in agents.values()])
         return dict(zip(agents, flown, strict=True))
+
+    def first(self, legs: Sequence[Trajectory]) -> dict[str, Evaluation]:
+        """The first mission, flown while learning, by its name in the table; nothing if it is not whole."""
+        steps, whole = self.env.scenario.steps, []
+        for leg in legs:
+            if leg.first_step < steps:
+                whole.append(leg)
+        if sum(len(leg.tau) for leg in whole) != steps:
+            return {}
+        return {"first mission": self.evaluator.judge(Trajectory.joined(whole))}
 
     def baseline(self, estimate: ChannelEstimate) -> dict[str, Agent]:
         """The baseline planner's agent, by its name."""

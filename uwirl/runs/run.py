@@ -21,7 +21,7 @@ from uwirl.config.schema import Config
 from uwirl.motion.irl_planner import IrlPlanner
 from uwirl.motion.learning import Learning
 from uwirl.runs.interruption import Interruption
-from uwirl.runs.listeners import Board, Listener, Narrator
+from uwirl.runs.listeners import Board, Legs, Listener, Narrator
 from uwirl.runs.missions import Course, MissionFlight, campaign
 from uwirl.runs.recorded import recorded, warn
 from uwirl.runs.saving import Checkpoints, Origin
@@ -82,7 +82,9 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
     events = algorithm_1(env, estimator, planner, origin.start(env))
     shown = config.logging.progress and isinstance(planner, IrlPlanner)
     with bar("learning", getattr(config.planner, "max_time_s", 0.0), shown) as progress:
+        legs = Legs()
         listeners: list[Listener] = [Narrator(progress), _doubt, Board(board, records, checkpoints.every), checkpoints]
+        listeners.append(legs)
         ends = _heard(events, listeners, checkpoints.interruption)
     estimated, planned, modelled = ends[Estimated], ends[Planned], ends.get(Modelled)
     metrics = run_files.estimate_metrics(estimated.estimate)
@@ -96,9 +98,10 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
     flight = MissionFlight(config, env, folder)
     if planned.learned is None:
         agents = {**flight.baseline(estimated.estimate), config.planner.name: planned.agent_in(env)}
-        return metrics | flight.report(flight.fly(agents), estimated, board)
+        return metrics | flight.report(flight.first(legs.flown) | flight.fly(agents), estimated, board)
     learning, state = planned.learned
     flown, costs = flight.fly_learned(learning, state, records, estimated.estimate)
+    flown = flight.first(legs.flown) | flown
     start = float(flown["start policy"].cost[0])
     converged = records[-1].converged and flight.settled(flown[config.planner.name])
     course = Course(records, costs, learning.basis, converged)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
@@ -69,6 +70,13 @@ class Trajectory:
     first_step: int
     end: WorldState
     carry: Any = None
+
+    @classmethod
+    def joined(cls, flights: Sequence[Trajectory]) -> Trajectory:
+        """Flights, each of which continues the one before, as one."""
+        components = torch.cat([flights[0].components, *(flight.components[1:] for flight in flights[1:])])
+        tau = torch.cat([flight.tau for flight in flights])
+        return replace(flights[-1], components=components, tau=tau, first_step=flights[0].first_step)
 
     @property
     def eta(self) -> Tensor:
