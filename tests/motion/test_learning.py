@@ -177,3 +177,25 @@ def test_learning_in_a_ring_of_obstacles_touches_none(learn):
     overrides = (*SHORT, f"scenario.obstacles=[{cylinders}]")
     assert learn(*overrides).state.contacts == 0
     assert learn(*overrides, "safety=none").state.contacts > 0
+
+
+def test_its_flight_identifies_the_vehicle(make_config, make_relay):
+    words = ("experiment=fig5_single", "planner.max_time_s=34", "planner.model_time_s=34")
+    config, env = make_config(*words), make_relay(*words)
+    _, estimate = estimate_each_vehicle(env, build.make_estimator(config.estimator, env))
+    found = {}
+    for doubt in (0.1, 1e-9):
+        config.planner.most_doubt = doubt
+        learning = Learning(build.make_planner(config, config.planner, env), env, estimate)
+        state = learning.init()
+        assert len(state.logs) == 1
+        while not learning.is_over(state):
+            state = learning.step(state)
+        found[doubt] = state
+    known = found[0.1].known
+    assert known.theta[:4].tolist() == pytest.approx(env.vehicle.inertia.tolist(), rel=0.01)
+    assert found[0.1].logs == ()
+    # In doubt, nothing is taken as known, and the log is kept.
+    assert found[1e-9].known is None
+    assert len(found[1e-9].logs) == 5
+    assert [record.modelled for record in learning.records(found[0.1])] == [True] * config.planner.updates

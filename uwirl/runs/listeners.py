@@ -8,6 +8,7 @@ from collections.abc import Callable
 from tqdm import tqdm
 
 from uwirl.algorithm import Estimated, Event, Improved, Modelled, Planned
+from uwirl.motion.identification import Identified
 from uwirl.motion.identified_planner import Learned
 from uwirl.motion.learning import IterationRecord
 from uwirl.study.tensorboard import TensorBoard
@@ -42,6 +43,8 @@ class Narrator:
             case Planned(_, learned):
                 if learned is not None:
                     state = learned[1]
+                    if state.known is not None:
+                        log.info("model: %s", _told(learned[0].planner.regressor.names, state.known))
                     settled = ", weights settled" if state.learner.settled else ""
                     iterations = state.learner.iteration
                     log.info(
@@ -51,9 +54,7 @@ class Narrator:
     def _model(self, names: tuple[str, ...], learned: Learned) -> None:
         assert learned.identified is not None
         if learned.seconds >= self.next_line_s or not self.bar.disable:
-            known = learned.identified.items(names)
-            told = ", ".join(f"{name} {value:.3g} +- {std:.1g}" for name, value, std in known)
-            log.info("  learning: %.0f s flown, %s", learned.seconds, told)
+            log.info("  learning: %.0f s flown, %s", learned.seconds, _told(names, learned.identified))
             self.next_line_s = learned.seconds + 60.0
 
     def _progress(self, record: IterationRecord) -> None:
@@ -65,6 +66,10 @@ class Narrator:
         elif record.seconds >= self.next_line_s:
             log.info("  learning: %s", text)
             self.next_line_s = record.seconds + 60.0
+
+
+def _told(names: tuple[str, ...], known: Identified) -> str:
+    return ", ".join(f"{name} {value:.3g} +- {std:.1g}" for name, value, std in known.items(names))
 
 
 class Legs:
@@ -102,6 +107,7 @@ class Board:
     def __init__(self, board: TensorBoard, before: list[IterationRecord], every: int):
         self.board, self.every = board, every
         self.untold = [] if board.continues else list(before)
+        self.known: Identified | None = None
 
     def __call__(self, event: Event) -> None:
         """Write an event."""
@@ -112,7 +118,10 @@ class Board:
                 for record in [*self.untold, *records]:
                     self.board.iteration(record, learning.basis)
                 self.untold = []
+                if state.known is not self.known:
+                    self.known = state.known
+                    self.board.model(learning.planner.regressor.names, state.known, state.seconds)
                 if state.flight.leg % self.every == 0:
                     self.board.flush()
             case Modelled(names, learned):
-                self.board.model(names, learned)
+                self.board.model(names, learned.identified, learned.seconds)

@@ -12,6 +12,7 @@ import torch
 
 from uwirl import build
 from uwirl.algorithm import Estimated
+from uwirl.config.motion_schema import GeodesicConfig
 from uwirl.config.schema import Config, IrlConfig
 from uwirl.motion.features import MotionBasis
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
@@ -67,6 +68,13 @@ class MissionFlight:
     def __init__(self, config: Config, env: Relay, folder: Path):
         self.config, self.env, self.folder = config, env, folder
         self.evaluator = build.make_evaluator(config, env)
+
+    @property
+    def has_routes(self) -> bool:
+        """Whether the vehicle flies along routes, and not straight."""
+        scenario = self.env.scenario
+        alone = scenario.obstacles.number == 0 and scenario.vehicles == 1 and scenario.current.is_still
+        return not alone and isinstance(self.config.guidance, GeodesicConfig)
 
     def fly(self, agents: dict[str, Agent]) -> dict[str, Evaluation]:
         """The missions of agents by their names, flown as one batch."""

@@ -30,7 +30,7 @@ from uwirl.study import checkpoint, run_files, run_folder
 from uwirl.study.learning_file import load, other_budget, take_estimate, take_model, take_trim, take_weights
 from uwirl.study.progress import bar
 from uwirl.study.tensorboard import TensorBoard
-from uwirl.study.warnings import learning_warnings, mission_warnings
+from uwirl.study.warnings import NO_MODEL, learning_warnings, mission_warnings
 from uwirl.world.agent import Agent
 from uwirl.world.readings import readings_of_each_vehicle
 from uwirl.world.relay import Relay
@@ -89,9 +89,13 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
     estimated, planned, modelled = ends[Estimated], ends[Planned], ends.get(Modelled)
     metrics = run_files.estimate_metrics(estimated.estimate)
     if planned.learned is not None:
-        metrics |= run_files.learning_metrics(planned.learned[1], config.scenario.dt_s)
+        learning, state = planned.learned
+        metrics |= run_files.learning_metrics(state, config.scenario.dt_s)
+        metrics |= run_files.model_metrics(learning.planner.regressor.names, state.known)
     if modelled is not None:
-        metrics |= run_files.model_metrics(modelled.names, modelled.learned)
+        learned = modelled.learned
+        metrics |= {"learning_vehicle_seconds": learned.seconds, "learning_collisions": learned.contacts}
+        metrics |= run_files.model_metrics(modelled.names, learned.identified)
     if config.scenario.layouts is not None:
         return metrics | campaign(config, planned.agent_in, folder)
 
@@ -108,6 +112,8 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
     metrics |= flight.report(flown, estimated, board, course) | {"converged": converged}
     for sentence in learning_warnings(records, costs, start, metrics["cost_total"]):
         warn(sentence)
+    if state.known is None and flight.has_routes:
+        warn(NO_MODEL)
     metrics |= {"cost_total_start_policy": start, "cost_per_iteration": costs}
     checkpoints.best(learning, state, costs)
     checkpoints.last(learning, state, metrics)

@@ -13,7 +13,7 @@ from typing import Any
 
 from torch import Tensor
 
-from uwirl.motion.identified_planner import Learned
+from uwirl.motion.identification import Identified
 from uwirl.motion.learning import IterationRecord, LearningState
 from uwirl.snr.diagnostics import Diagnostics
 from uwirl.snr.estimate import NAMES, ChannelEstimate
@@ -62,15 +62,11 @@ def learning_metrics(state: LearningState, dt: float) -> dict[str, Any]:
     }
 
 
-def model_metrics(names: tuple[str, ...], learned: Learned) -> dict[str, Any]:
+def model_metrics(names: tuple[str, ...], known: Identified | None) -> dict[str, Any]:
     """Entries of metrics.json about a model learned in flight: its parameters and their standard errors."""
-    metrics: dict[str, Any] = {
-        "learning_vehicle_seconds": learned.seconds,
-        "learning_collisions": learned.contacts,
-    }
-    if learned.identified is not None:
-        for name, value, std in learned.identified.items(names):
-            metrics |= {f"model_{name}": value, f"model_{name}_std": std}
+    metrics: dict[str, Any] = {}
+    for name, value, std in () if known is None else known.items(names):
+        metrics |= {f"model_{name}": value, f"model_{name}_std": std}
     return metrics
 
 

@@ -15,7 +15,7 @@ from torch.utils.tensorboard.summary import hparams
 
 from uwirl.config.schema import Config
 from uwirl.motion.features import AXES, MotionBasis
-from uwirl.motion.identified_planner import Learned
+from uwirl.motion.identification import Identified
 from uwirl.motion.learning import IterationRecord
 from uwirl.snr.estimate import NAMES, ChannelEstimate
 from uwirl.study.colours import colours_of
@@ -88,13 +88,11 @@ class TensorBoard:
         self.writer.add_scalar("learning/weight_change", record.weight_change, record.iteration)
         self.writer.add_scalar("learning/vehicle_seconds_s", record.seconds, record.iteration)
 
-    def model(self, names: tuple[str, ...], learned: Learned) -> None:
+    def model(self, names: tuple[str, ...], known: Identified | None, seconds: float) -> None:
         """Parameters of a model learned in flight and their 95 % intervals, over vehicle time (step = s)."""
-        if learned.identified is None:
-            return
-        for name, value, std in learned.identified.items(names):
+        for name, value, std in () if known is None else known.items(names):
             for suffix, number in (("", value), ("_low", value - 1.96 * std), ("_high", value + 1.96 * std)):
-                self.writer.add_scalar(f"model/{name}{suffix}", number, round(learned.seconds))
+                self.writer.add_scalar(f"model/{name}{suffix}", number, round(seconds))
 
     def cost_per_iteration(self, cost: Sequence[float | None]) -> None:
         """J of each iterate that was flown again, from the mission's start."""

@@ -100,6 +100,12 @@ def _collisions(scenario: Scenario, evaluation: Evaluation) -> Iterator[str]:
             yield f"vehicles {i + 1} and {j + 1} collided: {depth:.2f} m deep at {float(time[nearest]):.2f} s"
 
 
+NO_MODEL = (
+    "no model of the vehicle was identified, so that it flies along routes by what is declared of it: excite more "
+    "(experience.excitation_rms) or fly longer (planner.max_time_s, no more than that in planner.model_time_s)"
+)
+
+
 def learning_warnings(
     records: Sequence[IterationRecord], costs: Sequence[float | None], start: float, end: float
 ) -> Iterator[str]:
