@@ -52,6 +52,11 @@ RULES = [
     ("experiment=random_layouts scenario.layouts.current_mps=-1", "scenario.layouts.current_mps", "at least 0"),
     ("basis=geodesic", "experience.relabel", "another link needs another map"),
     ("basis=geodesic guidance=straight", "guidance.name", "learns how to fly with guidance=geodesic"),
+    (
+        "basis=geodesic experience=mission experience.relabel=0",
+        "experience.name",
+        "learns from experience=virtual_links",
+    ),
     ("scenario.start=[]", "scenario.start", "needs at least one vehicle [x, y, z, psi]"),
     ("scenario.start=[1,2,-3,0]", "scenario.start.0", "needs 4 finite numbers, got 1"),
     (f"{PAIR} {SHORT_LINK}", "scenario.start", "targets of 2 vehicles 0.667 m apart on the link of 2 m, closer than"),

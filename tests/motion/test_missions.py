@@ -58,7 +58,10 @@ def test_the_next_mission_begins_at_the_start(make_config, make_relay):
     config, env = make_config(*words), make_relay(*words)
     estimator = partial(oracle, channel=truth_of(env).channel)
     events = algorithm_1(env, estimator, build.make_planner(config, config.planner, env))
-    legs = [event.flown for event in events if isinstance(event, Improved)]
+    improved = [event for event in events if isinstance(event, Improved)]
+    legs = [event.flown for event in improved]
+    # A log of each mission, with no window across the jump.
+    assert [len(log.tau) for log in improved[-1].state.logs] == [120, 60]
     assert [leg.first_step for leg in legs] == [20 * k for k in range(9)]
     assert (legs[6].eta[0] == legs[0].eta[0]).all()
     assert (legs[5].eta[0] == legs[4].eta[-1]).all()

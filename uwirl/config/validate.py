@@ -296,6 +296,8 @@ def _geodesic_basis(config: Config) -> Problems:
             yield "guidance.name", "basis=geodesic learns how to fly with guidance=geodesic"
         if isinstance(config.experience, VirtualLinksConfig) and config.experience.relabel:
             yield "experience.relabel", "must be 0 with basis=geodesic: another link needs another map"
+        if isinstance(config.experience, MissionsConfig):
+            yield "experience.name", "basis=geodesic learns from experience=virtual_links or parallel"
 
 
 def _start(config: Config) -> Problems:

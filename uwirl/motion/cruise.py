@@ -11,7 +11,7 @@ The value falls by h for each metre. The Hamilton-Jacobi-Bellman equation then g
 with d the drag, + below the best speed and - above. R_b = sum_k R_k u_bk^2 weighs a force along the route, u_b its unit
 vector in body axes. At rest f = sqrt(q / R_b), whatever the drag. Depth follows the same rule with the part of q
 that is due to depth. The heading is the one of the least h; its stiffness and damping are those of the linear-quadratic
-regulator of the yaw axis, with the curvature of h v as its weight. Every number follows from the model and the cost.
+regulator of the yaw axis, with the curvature of h v as its weight. The constants below belong to no vehicle.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ USABLE = 0.9
 CAPACITY_SHARE = 0.02
 # Time of a turn, by which turns are priced against what a better heading saves, s.
 TURN_S = 3.0
-# Half of the curvature of h is due to the Munk moment, which is cancelled.
+# Share of the curvature of h v that heading errors weigh: the rest is due to the Munk moment, which is cancelled.
 CURVATURE = 0.25
 # Times in which velocity across the route and vertical velocity are corrected, s; a heading control held over dt
 # has at most the frequency STIFFEST / dt.

@@ -151,8 +151,9 @@ class Learning:
         contacts, logs = state.contacts + leg.contacts, state.logs
         if self._identifies(state):
             logs = (*logs, Log.of(leg.flown))
-            # Without a hover the logs are of one flight, which windows may cross.
-            logs = logs if self.planner.experience.hovers else (Log.joined(logs),)
+            if not self.planner.experience.hovers and leg.flown.first_step % self.env.scenario.steps:
+                # Windows may cross the legs of one mission.
+                logs = (*logs[:-2], Log.joined(logs[-2:]))
         after = state._replace(flight=leg.after, seconds=state.seconds + leg.seconds, contacts=contacts, logs=logs)
         return leg, after
 
