@@ -234,3 +234,12 @@ def test_two_vehicles_learn_one_model(make_config, make_relay):
     assert first.identified is None
     truth = true_theta(env.vehicle)
     torch.testing.assert_close(last.identified.theta[:4], truth[:4], rtol=0.03, atol=0.0)
+
+
+def test_a_vehicle_that_rests_tells_nothing(make_relay):
+    env = make_relay("experiment=fig5_free")
+    eta, nu, tau = env.scenario.start[None, 0].expand(401, 1, 4), torch.zeros(401, 1, 4), torch.zeros(400, 1, 4)
+    eta = eta - torch.tensor([0.0, 0.0, 5.0, 0.0])
+    windows = Windows(Fossen(), env.scenario.dt, 20, 20, env.scenario.depth)
+    log = Log(eta.double(), nu.double(), (tau + env.vehicle.trim).double())
+    assert identify_flights(windows, [log], env.vehicle.tau_max, torch.zeros(2).double()) is None

@@ -13,7 +13,7 @@ errors allow for residuals that differ in size and that windows share (Newey and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -159,7 +159,7 @@ class Log(NamedTuple):
 
 
 def identify_flights(windows: Windows, logs: list[Log], scale: Tensor, current: Tensor) -> Identified | None:
-    """Parameters of vehicles that are alike, and the current, from their flights; None while there are too few windows.
+    """Parameters of vehicles that are alike, and the current, from their flights; None while these tell too little.
 
     For a given current all else is least squares, so the current is found by Gauss-Newton steps on what these leave.
 
@@ -179,6 +179,15 @@ def identify_flights(windows: Windows, logs: list[Log], scale: Tensor, current: 
 
     if sum(len(windows.rows(*log).regressor) for log in logs) <= len(windows.regressor.names):
         return None
+    try:
+        return _with_current(known, scale, current)
+    except torch.linalg.LinAlgError:
+        # Some parameters have no influence on what was flown.
+        return None
+
+
+def _with_current(known: Callable[[Tensor], tuple[Identified, Tensor]], scale: Tensor, current: Tensor) -> Identified:
+    """What is known with the current that leaves the least; `known` gives it, and residuals, for any current."""
     found, residual = known(current)
     # Weights of this search are those of its beginning, so that it minimises one sum.
     weight = 1.0 / residual.square().mean(0).sqrt().clamp_min(1e-6 * scale.to(residual))

@@ -168,7 +168,10 @@ class IdentifiedPlanner:
 
     def _check(self, known: Identified | None) -> None:
         if known is None:
-            raise UnidentifiedError("planner.max_time_s: too short a flight for the model's parameters")
+            raise UnidentifiedError(
+                "planner.max_time_s: the flight tells too little of the model's parameters: fly longer, or excite more "
+                "(experience.excitation_rms)"
+            )
         inertia = known.doubtful_inertia(self.regressor, self.most_doubt)
         if inertia:
             raise UnidentifiedError(
