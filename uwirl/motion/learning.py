@@ -198,7 +198,9 @@ class Learning:
             raise InsufficientDataError(
                 f"planner.max_time_s: {learner.rows} rows of experience for {unknowns} unknown weights: fly longer"
             )
-        return late or learner.settled
+        # A mission is flown to its end.
+        within = not self.planner.experience.hovers and int(state.flight.world.step[0]) % self.env.scenario.steps
+        return late or (learner.settled and not within)
 
     def records(self, state: LearningState) -> list[IterationRecord]:
         """Records of the policy iterations after the newest leg."""

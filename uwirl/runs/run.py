@@ -188,7 +188,7 @@ def _evaluated(config: Config, folder: Path, path: Path, content: dict[str, Any]
     def agent_in(worlds: Relay) -> Agent:
         return learning.agent(weights, trim, worlds, known)
 
-    metrics = run_files.estimate_metrics(estimate)
+    metrics = run_files.estimate_metrics(estimate) | run_files.model_metrics(planner.regressor.names, known)
     if config.scenario.layouts is not None:
         return metrics | campaign(config, agent_in, folder)
     flight = MissionFlight(config, env, folder)
