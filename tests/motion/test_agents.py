@@ -14,7 +14,7 @@ from uwirl.irl.networks import LinearActor
 from uwirl.motion.features import LinkFrameBasis
 from uwirl.motion.geodesic_basis import GeodesicBasis
 from uwirl.motion.guidance import RouteCarry
-from uwirl.motion.linear_agent import LinearAgent, LinkController
+from uwirl.motion.linear_agent import Excited, LinearAgent, LinkController
 from uwirl.motion.mission import Mission
 from uwirl.motion.route import MapSettings
 from uwirl.motion.route_view import LearnedGeodesic
@@ -48,11 +48,12 @@ def link_controller(mission: Mission) -> LinkController:
     return LinkController(mission.targets.frame, actor, mission.env.vehicle.trim.double())
 
 
-def linear(mission: Mission, excited: bool) -> LinearAgent:
+def linear(mission: Mission, excited: bool) -> Agent:
     near = link_controller(mission)
     random = torch.Generator().manual_seed(0)
-    wave = 5.0 * torch.randn(STEPS, 2, 2, 4, generator=random, dtype=torch.float64) if excited else None
-    return LinearAgent(near.actor.basis.view(mission.env, near.frame), near.actor, near.trim, wave)
+    wave = 5.0 * torch.randn(STEPS, 2, 2, 4, generator=random, dtype=torch.float64)
+    agent = LinearAgent(near.actor.basis.view(mission.env, near.frame), near.actor, near.trim)
+    return Excited(agent, wave, 0) if excited else agent
 
 
 WAYS = LearnedGeodesic(0.1, MapSettings(spacing_m=1.0))

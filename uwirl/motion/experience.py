@@ -185,7 +185,7 @@ class Exploration:
         poses = self.poses(env.scenario, recorder.basis.among_obstacles)
         view = recorder.basis.view(env, poses.frame(env, eta, draw))
         wave = self.excitation.draw(env.streams, M, flight.leg, steps, env.scenario.dt).to(eta.dtype)
-        agent = LinearAgent(view, actor, recorder.trim, wave.view(steps, B, M, 4), int(world.step[0]))
+        agent = Excited(LinearAgent(view, actor, recorder.trim), wave.view(steps, B, M, 4), int(world.step[0]))
         trajectory = env.rollout(Guarded(agent, guard), world, steps)
         return trajectory, view.along(trajectory.carry, trajectory).flatten(1, 2).double()
 
@@ -294,10 +294,9 @@ class Parallel(Exploration):
 
     def begin(self, world: WorldState) -> FlightState:
         """All worlds begin at the end of the first vehicle's hover."""
-        first = world
-        state = first.components[:, :1, :1].expand(-1, self.worlds, 1).contiguous()
-        target = first.target[:1, :1].expand(self.worlds, 1, 3)
-        return FlightState(WorldState(state, first.step[:1].expand(self.worlds).clone(), target), 0)
+        state = world.components[:, :1, :1].expand(-1, self.worlds, 1).contiguous()
+        target = world.target[:1, :1].expand(self.worlds, 1, 3)
+        return FlightState(WorldState(state, world.step[:1].expand(self.worlds).clone(), target), 0)
 
     def fly(
         self,

@@ -21,6 +21,7 @@ from uwirl.motion.way_law import OnWay, WayLaw
 from uwirl.world.agent import Agent
 from uwirl.world.geometry import left_of, length, none_known, to_body
 from uwirl.world.observation import Observation
+from uwirl.world.scenario import Scenario
 
 
 class Lead(Protocol):
@@ -38,6 +39,11 @@ class Lead(Protocol):
 
 # From a mission to such a function.
 Guidance = Callable[[Mission], Lead]
+
+
+def is_open(scenario: Scenario) -> bool:
+    """Whether a single vehicle is alone in free and still water, where it needs no route."""
+    return scenario.obstacles.number == 0 and scenario.vehicles == 1 and scenario.current.is_still
 
 
 def go_straight(controller: LinkController, model: VehicleModel | None = None) -> Agent:
@@ -86,7 +92,7 @@ class Geodesic:
     def __call__(self, mission: Mission) -> Lead:
         """Guidance to the targets of a mission."""
         scenario = mission.env.scenario
-        if scenario.obstacles.number == 0 and scenario.vehicles == 1 and scenario.current.is_still:
+        if is_open(scenario):
             return go_straight
         router = Router(scenario, mission.targets.frame, mission.cost, self.margin_m, self.map_settings)
         tracker = RouteTracker(scenario, router)

@@ -121,7 +121,7 @@ class IdentifiedPlanner:
             view = LinkView(poses.frame(env, world.vehicles.eta, leg))
             wave = self.experience.excitation.draw(env.streams, env.scenario.vehicles, leg, legs, dt)
             wave = wave.to(trim).view(legs, *world.vehicles.eta.shape)
-            agent = LinearAgent(view, actor, trim, wave.to(world.vehicles.eta), int(world.step[0]))
+            agent = Excited(LinearAgent(view, actor, trim), wave.to(world.vehicles.eta), int(world.step[0]))
             flown = env.rollout(Guarded(agent, guard), world, legs)
             logs.append(Log.of(flown))
             hit, seconds = hit + contacts_while(env, flown), seconds + self.experience.leg_s

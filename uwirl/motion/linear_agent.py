@@ -63,20 +63,16 @@ def linear_control(actor: LinearActor, trim: Tensor, x: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class LinearAgent:
-    """tau = tau_trim + W' phi3(x), plus an excitation for learning.
+    """tau = tau_trim + W' phi3(x).
 
     Attributes:
         view: computes x; its carry is the agent's carry.
         actor, trim: see `linear_control`.
-        excitation: added to the control at each step, [n, B, M, 4]; None for none.
-        first_step: step of the first excitation.
     """
 
     view: View
     actor: LinearActor
     trim: Tensor
-    excitation: Tensor | None = None
-    first_step: int = 0
 
     def init(self, observation: Observation) -> Any:
         """The carry of the view."""
@@ -85,11 +81,7 @@ class LinearAgent:
     def act(self, carry: Any, observation: Observation) -> tuple[Tensor, Any]:
         """tau [B, M, 4] and the next carry."""
         x, carry = self.view.see(carry, observation)
-        tau = linear_control(self.actor, self.trim, x)
-        if self.excitation is None:
-            return tau, carry
-        # Indexed by a tensor: a number would first have to be copied from the device.
-        return tau + self.excitation.index_select(0, observation.step[:1] - self.first_step)[0], carry
+        return linear_control(self.actor, self.trim, x), carry
 
 
 @dataclass(frozen=True)
@@ -98,7 +90,7 @@ class Excited:
 
     Attributes:
         agent: any.
-        excitation: added at each step, [n, B, M, 4].
+        excitation: added at each step, [n, B, M, 4]; N, N m.
         first_step: step of the first excitation.
     """
 

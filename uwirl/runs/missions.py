@@ -15,6 +15,7 @@ from uwirl.algorithm import Estimated
 from uwirl.config.motion_schema import GeodesicConfig
 from uwirl.config.schema import Config, IrlConfig
 from uwirl.motion.features import MotionBasis
+from uwirl.motion.guidance import is_open
 from uwirl.motion.learning import IterationRecord, Learning, LearningState
 from uwirl.motion.planner import fitted
 from uwirl.runs import pictures
@@ -72,9 +73,7 @@ class MissionFlight:
     @property
     def has_routes(self) -> bool:
         """Whether the vehicle flies along routes, and not straight."""
-        scenario = self.env.scenario
-        alone = scenario.obstacles.number == 0 and scenario.vehicles == 1 and scenario.current.is_still
-        return not alone and isinstance(self.config.guidance, GeodesicConfig)
+        return isinstance(self.config.guidance, GeodesicConfig) and not is_open(self.env.scenario)
 
     def fly(self, agents: dict[str, Agent]) -> dict[str, Evaluation]:
         """The missions of agents by their names, flown as one batch."""
@@ -83,10 +82,8 @@ class MissionFlight:
 
     def first(self, legs: Sequence[Trajectory]) -> dict[str, Evaluation]:
         """The first mission, flown while learning, by its name in the table; nothing if it is not whole."""
-        steps, whole = self.env.scenario.steps, []
-        for leg in legs:
-            if leg.first_step < steps:
-                whole.append(leg)
+        steps = self.env.scenario.steps
+        whole = [leg for leg in legs if leg.first_step < steps]
         if sum(len(leg.tau) for leg in whole) != steps:
             return {}
         return {"first mission": self.evaluator.judge(Trajectory.joined(whole))}

@@ -82,9 +82,8 @@ def _work(config: Config, folder: Path, origin: Origin, checkpoints: Checkpoints
     events = algorithm_1(env, estimator, planner, origin.start(env))
     shown = config.logging.progress and isinstance(planner, IrlPlanner)
     with bar("learning", getattr(config.planner, "max_time_s", 0.0), shown) as progress:
-        legs = Legs()
-        listeners: list[Listener] = [Narrator(progress), _doubt, Board(board, records, checkpoints.every), checkpoints]
-        listeners.append(legs)
+        legs, told = Legs(), Board(board, records, checkpoints.every)
+        listeners: list[Listener] = [Narrator(progress), _doubt, told, legs, checkpoints]
         ends = _heard(events, listeners, checkpoints.interruption)
     estimated, planned, modelled = ends[Estimated], ends[Planned], ends.get(Modelled)
     metrics = run_files.estimate_metrics(estimated.estimate)
